@@ -1,0 +1,44 @@
+"""Write the manifest schema of every stage from its Params: ``python -m vorolight.schemas.build``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from vorolight import schemas
+
+
+def stage_schema(name: str) -> dict[str, Any]:
+    """The schema of the manifests of stage ``name``: the common part and its parameters."""
+    from vorolight.stages import pipeline
+    from vorolight.stages.contract import params_schema
+
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": schemas.identifier(name),
+        "title": f"Manifest of stage {name}",
+        "$ref": schemas.identifier("common"),
+        "properties": {
+            "schema": {"const": schemas.identifier(name)},
+            "stage": {"const": name},
+            "params": params_schema(pipeline.get(name).params),
+        },
+    }
+
+
+def encode(schema: dict[str, Any]) -> str:
+    return json.dumps(schema, indent=2) + "\n"
+
+
+def main() -> None:
+    from vorolight.stages import pipeline
+
+    for name in pipeline.ORDER:
+        path = Path(__file__).parent / f"{name}.json"
+        path.write_text(encode(stage_schema(name)), encoding="utf-8")
+        print(path.name)
+
+
+if __name__ == "__main__":
+    main()

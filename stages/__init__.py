@@ -1,0 +1,1 @@
+"""The method: stages and what they are made of."""

@@ -1,0 +1,72 @@
+"""The run folder: where everything of one shape lives."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import ArtifactError, UsageError
+from . import manifest
+
+if TYPE_CHECKING:
+    from .checkpoints import Checkpoints
+    from .hdf5 import Arrays
+
+SUFFIX = ".vorolight"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Owns every path of a run."""
+
+    path: Path
+
+    @classmethod
+    def locate(cls, run: Path | None, input_stem: str | None, base: Path | None = None) -> RunFolder:
+        """The run folder for the given ``--run`` and INPUT (design: its default name).
+
+        With neither: the current folder if it is one, else the only ``*.vorolight`` in it.
+        Raises ArtifactError when there is none, UsageError when there are several.
+        """
+        here = Path() if base is None else base
+        if run is not None:
+            return cls(run)
+        if input_stem is not None:
+            return cls(here / f"{input_stem}{SUFFIX}")
+        if (here / "classify.json").is_file() or here.resolve().suffix == SUFFIX:
+            return cls(here)
+        found = sorted(p for p in here.glob(f"*{SUFFIX}") if p.is_dir())
+        if len(found) == 1:
+            return cls(found[0])
+        if not found:
+            raise ArtifactError(
+                f"no run folder here; give an INPUT, or name one with --run DIR{os.sep}"
+            )
+        names = ", ".join(p.name for p in found)
+        raise UsageError(f"several run folders here ({names}); pick one with --run")
+
+    def file(self, stem: str, suffix: str) -> Path:
+        """The data file of a stage, such as ``init.h5``."""
+        return self.path / f"{stem}.{suffix}"
+
+    def manifest(self, stem: str) -> manifest.Manifest | None:
+        """The manifest of a stage, or None if there is none."""
+        path = self.file(stem, "json")
+        return manifest.read(path) if path.is_file() else None
+
+    def arrays(self, stem: str, layout: str) -> Arrays:
+        """The arrays of a finished stage. Raises ArtifactError when they are not there."""
+        if not self.file(stem, "json").is_file():
+            raise ArtifactError(
+                f"{self.path}: stage {stem} is not done; run: vorolight {stem}"
+            )
+        from .hdf5 import decode
+
+        return decode(self.file(stem, "h5"), layout)[0]
+
+    def checkpoints(self, stem: str, fingerprint: str) -> Checkpoints:
+        from .checkpoints import Checkpoints
+
+        return Checkpoints(self.path / "checkpoints" / stem, fingerprint)

@@ -1,0 +1,248 @@
+"""What every stage is: parameters, parents, outputs and one ``run(context)``."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args, get_origin
+from typing import get_type_hints as _type_hints
+
+from .errors import UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .artifacts.checkpoints import Checkpoints
+    from .artifacts.hdf5 import Arrays
+    from .artifacts.run_folder import RunFolder
+    from .sources.protocol import Source
+
+
+@dataclass(frozen=True)
+class Range:
+    """Limits of a number, both included; None is no limit."""
+
+    low: float | None = None
+    high: float | None = None
+
+    def holds(self, value: float) -> bool:
+        return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+
+    def __str__(self) -> str:
+        if self.high is None:
+            return f"at least {self.low:g}"
+        return f"from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True)
+class Short:
+    """A short flag for an option."""
+
+    flag: str
+
+
+Positive = Annotated[float, Range(0)]
+Share = Annotated[float, Range(0, 1)]
+
+
+@dataclass(frozen=True)
+class Option:
+    """One field of a Params dataclass as everything else sees it."""
+
+    name: str
+    type: Any
+    """The plain type: int, float, bool, str, or a Literal of strings; None admitted if optional."""
+    optional: bool
+    default: Any
+    meaning: str
+    limits: Range | None
+    short: str | None
+
+    def check(self, value: Any) -> Any:
+        """``value`` in the option's type. Raises UsageError when it does not fit."""
+        flag = self.flag
+        if value is None and self.optional:
+            return None
+        if get_origin(self.type) is Literal:
+            choices = get_args(self.type)
+            if value not in choices:
+                raise UsageError(f"{flag} {value}: must be one of {', '.join(choices)}")
+            return value
+        try:
+            if self.type in (int, float) and isinstance(value, bool):
+                raise ValueError
+            if self.type is int and float(value) != int(value):
+                raise ValueError
+            if self.type is bool and not isinstance(value, bool):
+                raise ValueError
+            converted = self.type(value)
+        except (TypeError, ValueError, OverflowError):
+            raise UsageError(f"{flag} {value}: must be {self.type.__name__}") from None
+        if self.type is float and converted != converted:
+            raise UsageError(f"{flag} {value}: must be a number")
+        if self.limits is not None and not self.limits.holds(converted):
+            raise UsageError(f"{flag} {value}: must be {self.limits}")
+        return converted
+
+    @property
+    def flag(self) -> str:
+        return "--" + self.name.replace("_", "-")
+
+
+class Params:
+    """Base of every stage's parameters: a frozen dataclass, a docstring under each field."""
+
+    def __post_init__(self) -> None:
+        for option in options(type(self)):
+            object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
+
+    def as_json(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)  # type: ignore[call-overload,no-any-return]
+
+
+@cache
+def _module_tree(name: str) -> ast.Module:
+    # Not inspect.getsource: it tokenizes the file, which alone makes --help feel slow.
+    return ast.parse(Path(str(sys.modules[name].__file__)).read_text(encoding="utf-8"))
+
+
+@cache
+def options(params: type[Params]) -> tuple[Option, ...]:
+    """The options of a Params dataclass, read from its annotations and field docstrings."""
+    body = next(
+        node.body
+        for node in _module_tree(params.__module__).body
+        if isinstance(node, ast.ClassDef) and node.name == params.__name__
+    )
+    meanings: dict[str, str] = {}
+    for node, following in zip(body, body[1:], strict=False):
+        if isinstance(node, ast.AnnAssign) and isinstance(following, ast.Expr):
+            meanings[ast.unparse(node.target)] = " ".join(
+                str(ast.literal_eval(following.value)).split()
+            )
+    hints = _type_hints(params, include_extras=True)
+    found = []
+    for item in dataclasses.fields(params):  # type: ignore[arg-type]
+        kind, extras = hints[item.name], ()
+        optional = type(None) in get_args(kind)
+        if optional:
+            kind = next(part for part in get_args(kind) if part is not type(None))
+        if get_origin(kind) is Annotated:
+            kind, *extras = get_args(kind)  # type: ignore[assignment]
+        limits = next((extra for extra in extras if isinstance(extra, Range)), None)
+        short = next((extra.flag for extra in extras if isinstance(extra, Short)), None)
+        found.append(
+            Option(item.name, kind, optional, item.default, meanings[item.name], limits, short)
+        )
+    return tuple(found)
+
+
+def params_schema(params: type[Params]) -> dict[str, Any]:
+    """JSON Schema of a stage's parameters."""
+    names = {int: "integer", float: "number", bool: "boolean", str: "string"}
+    properties: dict[str, Any] = {}
+    for option in options(params):
+        entry: dict[str, Any] = {"description": option.meaning}
+        if get_origin(option.type) is Literal:
+            entry["enum"] = list(get_args(option.type))
+        else:
+            entry["type"] = [names[option.type], "null"] if option.optional else names[option.type]
+        if option.limits is not None:
+            if option.limits.low is not None:
+                entry["minimum"] = option.limits.low
+            if option.limits.high is not None:
+                entry["maximum"] = option.limits.high
+        entry["default"] = option.default
+        properties[option.name] = entry
+    return {"type": "object", "required": [o.name for o in options(params)]} | {
+        "properties": properties
+    }
+
+
+class Progress(Protocol):
+    """Where a stage says how far it is."""
+
+    def start(self, label: str, total: int) -> None: ...
+
+    def advance(self, done: int, note: str = "") -> None: ...
+
+    def finish(self) -> None: ...
+
+
+class Silent:
+    """Progress that goes nowhere."""
+
+    def start(self, label: str, total: int) -> None:
+        pass
+
+    def advance(self, done: int, note: str = "") -> None:
+        pass
+
+    def finish(self) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Context:
+    """All a stage gets: its parameters, what the stages before it left, and where it may report."""
+
+    params: Any
+    folder: RunFolder
+    source: Callable[[], Source]
+    """Opens the input; a stage that never calls it does not depend on the file."""
+    seed: int
+    threads: int
+    device: str
+    progress: Progress
+    checkpoints: Checkpoints
+    random: Callable[..., np.random.Generator]
+    """``random(purpose, counter)``: counter-based randomness of this stage."""
+
+    def arrays(self, stage: str) -> Arrays:
+        """The arrays that an earlier stage wrote."""
+        return self.folder.arrays(stage, stage)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stage leaves: arrays for its HDF5 file, other files by suffix, and what it measured."""
+
+    arrays: dict[str, Any]
+    files: dict[str, bytes] = field(default_factory=dict)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    recheck: Callable[[dict[str, Path]], dict[str, Any]] | None = None
+    """Called with the written files by suffix; what it finds goes into ``metrics.as_written``."""
+    frame: dict[str, Any] | None = None
+    """Unit, 4 x 4 map to the input's coordinates and bounding box; None for the input's own."""
+
+
+def _no_parents(params: Any) -> tuple[str, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage: one module, one Params, one ``run``."""
+
+    name: str
+    version: int
+    """Raised by hand whenever the results change."""
+    params: type[Params]
+    run: Callable[[Context], Outcome]
+    parents: Callable[[Any], tuple[str, ...]] = _no_parents
+    """The stages whose files it reads, given its parameters."""
+    reads_input: bool = False
+    """Whether the input itself, beyond what the parents hold, decides its result."""
+    stem: Callable[[Any], str] | None = None
+    """File name of its artifacts when it is not the stage's name."""
+    extra_inputs: Callable[[Any], dict[str, Path]] = lambda params: {}
+    """Further files it reads, by role."""
+
+    def stem_of(self, params: Any) -> str:
+        return self.stem(params) if self.stem else self.name

@@ -1,0 +1,51 @@
+"""What can go wrong, each with the exit code the command line ends with."""
+
+from __future__ import annotations
+
+
+class VorolightError(Exception):
+    """One sentence for the user: what is wrong, in which file, what to do."""
+
+    exit_code = 1
+
+
+class UsageError(VorolightError):
+    """An option or argument is out of range or does not fit the others."""
+
+    exit_code = 2
+
+
+class InputError(VorolightError):
+    """The user's file or field cannot be used."""
+
+    exit_code = 3
+
+
+class ArtifactError(VorolightError):
+    """A file of the run folder is missing, corrupt or stale."""
+
+    exit_code = 4
+
+
+class GateFailure(VorolightError):
+    """A quality gate failed."""
+
+    exit_code = 5
+
+
+class NumericalFailure(VorolightError):
+    """The computation left the range in which its result means anything."""
+
+    exit_code = 6
+
+
+class BackendMissing(VorolightError):
+    """An optional library that this request needs is not installed."""
+
+    exit_code = 69
+
+
+class Locked(VorolightError):
+    """Another process works on the run folder."""
+
+    exit_code = 75

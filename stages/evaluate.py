@@ -1,0 +1,223 @@
+"""Stage evaluate: what a stage's surface is worth, against the input or a reference.
+
+Example:
+    >>> from vorolight.stages import evaluate, pipeline
+    >>> pipeline.execute(session, "evaluate", evaluate.Params(of="init"))  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from . import contract
+from .contract import Context, Outcome, Range, Stage
+
+if TYPE_CHECKING:
+    from .surface.polygons import PolygonMesh
+
+
+@dataclass(frozen=True)
+class Params(contract.Params):
+    """Options of the evaluate stage."""
+
+    of: Literal["init", "sphere-train", "volume"] = "sphere-train"
+    """The stage whose surface is measured."""
+    reference: str | None = None
+    """A mesh to compare with; default: the input of the run."""
+    samples: Annotated[int, Range(1000, 10_000_000)] = 50_000
+    """Points on each surface."""
+    threshold: Annotated[float, Range(1e-6, 1)] = 0.01
+    """Distance for F1, with the reference's bounding-box diagonal as 1."""
+
+
+def run(context: Context) -> Outcome:
+    """The paper's appendix B under the protocol ``vorolight``: the reference's diagonal is 1."""
+    import numpy as np
+
+    from .export import ply
+    from .metrics import chamfer, curvature
+    from .sources.fields import FieldSource
+    from .sources.mesh import MeshSource
+    from .surface import geometry
+    from .surface.topology import topology
+
+    params, threads = context.params, context.threads
+    mesh = _surface(context, params.of)
+    source = context.source() if params.reference is None else MeshSource(Path(params.reference))
+    context.progress.start("evaluate", 4)
+    vertices, triangles, _ = geometry.fan_triangles(mesh)
+    random = context.random
+    predicted, _ = geometry.sample_triangles(
+        vertices, triangles, params.samples, random("predicted")
+    )
+    reference = source.surface_samples(params.samples, random("reference"))
+    low, high = reference.min(axis=0), reference.max(axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    area = float(geometry.triangle_areas(vertices, triangles).sum())
+    distances = chamfer.chamfer(
+        predicted / diagonal, reference / diagonal, params.threshold, area / diagonal**2, threads
+    )
+    context.progress.advance(1)
+    field = source if isinstance(source, FieldSource) else None
+    spacing = float(context.arrays("classify")["spacing"])
+    radius = spacing if field else 2.0 * source.median_edge_length()
+    measured, valid = curvature.mean_curvature(vertices, triangles, radius, threads)
+    bent = curvature.statistics(vertices, triangles, radius, measured, valid)
+    context.progress.advance(2)
+    facts = topology(mesh)
+    volume = geometry.enclosed_volume(vertices, triangles)
+    metrics: dict[str, Any] = {
+        "of": params.of,
+        "protocol": {
+            "name": "vorolight",
+            "samples": params.samples,
+            "threshold": params.threshold,
+            "frame": "bounding-box diagonal of the reference = 1",
+            "diagonal": diagonal,
+            "reference": source.name,
+        },
+        "topology": vars(facts),
+        "area": area,
+        "volume": volume,
+        "chamfer": vars(distances),
+        "curvature": None if bent is None else vars(bent),
+        "dihedral_mean_curvature": curvature.dihedral_mean_curvature(mesh),
+        "reference_curvature": _reference_curvature(source, reference, radius, threads),
+        "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
+        "gates": {
+            "closed": facts.closed,
+            "vertices_manifold": facts.pinched_vertices == 0,
+            "outward": volume > 0,
+            "self_intersection": "not run",
+        },
+    }
+    context.progress.advance(3)
+    if params.of != "init":
+        metrics |= _trained(context, radius, field)
+    distance = chamfer.nearest(mesh.vertices, reference, threads)
+    bend = np.where(valid, np.abs(measured), np.nan)[: mesh.vertex_count]
+    return Outcome(
+        arrays={
+            "surface/vertices": mesh.vertices,
+            "surface/face_offsets": mesh.face_offsets,
+            "surface/face_vertices": mesh.face_vertices,
+            "vertex_distance": distance,
+            "mean_curvature": bend,
+        },
+        files={
+            "ply": ply.encode(
+                mesh, {"distance": distance, "mean_curvature": np.nan_to_num(bend, nan=-1.0)}
+            )
+        },
+        metrics=metrics,
+    )
+
+
+def _surface(context: Context, of: str) -> PolygonMesh:
+    from .surface.polygons import PolygonMesh
+
+    arrays = context.arrays(of)
+    prefix = "" if of == "volume" else "surface/"
+    mesh = PolygonMesh(
+        *(arrays[prefix + part] for part in ("vertices", "face_offsets", "face_vertices"))
+    )
+    if of == "volume":
+        mesh = mesh.select_faces(arrays["face_neighbour"] < 0).without_unused_vertices()
+    return mesh
+
+
+def _reference_curvature(source: Any, samples: Any, radius: float, threads: int) -> Any:
+    """|H| of the reference itself: what a smooth surface should reach."""
+    import numpy as np
+
+    from .metrics import curvature
+    from .sources.fields import FieldSource
+
+    if isinstance(source, FieldSource):
+        size = np.abs(source.mean_curvature(samples))
+        return {
+            "mean": float(size.mean()),
+            "median": float(np.median(size)),
+            "p95": float(np.percentile(size, 95)),
+            "method": "analytic",
+        }
+    bend, valid = curvature.mean_curvature(source.vertices, source.triangles, radius, threads)
+    found = curvature.statistics(source.vertices, source.triangles, radius, bend, valid)
+    return None if found is None else vars(found) | {"method": "quadric fit"}
+
+
+def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
+    """The trained polygons' own figures, and conformity recomputed from the files."""
+    import numpy as np
+
+    from .metrics import curvature
+    from .surface import geometry
+    from .surface.polygons import PolygonMesh
+    from .surface.topology import topology
+    from .voronoi.conformity import conformity
+    from .voronoi.interface import interface
+
+    arrays = context.arrays("sphere-train")
+    grid = context.arrays("classify")
+    origin, spacing = grid["origin"], float(grid["spacing"])
+    mesh = PolygonMesh(
+        *(arrays[f"trained/{part}"] for part in ("vertices", "face_offsets", "face_vertices"))
+    )
+    vertices, triangles, _ = geometry.fan_triangles(mesh)
+    measured, valid = curvature.mean_curvature(vertices, triangles, radius, context.threads)
+    bent = curvature.statistics(vertices, triangles, radius, measured, valid)
+    loss = None
+    if field is not None:
+        points, _ = geometry.sample_triangles(
+            vertices, triangles, context.params.samples, context.random("trained")
+        )
+        loss = float(np.abs(field.value(points)).mean())
+    count = mesh.face_count
+    inside, outside = (
+        (arrays[f"generators/{side}"] - origin) / spacing for side in ("inside", "outside")
+    )
+    raw = interface(np.concatenate([inside, outside]), np.arange(2 * count) < count)
+    agreement = conformity(
+        raw,
+        np.arange(2 * count) % count,
+        mesh.with_vertices((mesh.vertices - origin) / spacing),
+        arrays["spheres/radius"] / spacing,
+        inside,
+        outside,
+        1.0,
+        context.threads,
+    )
+    return {
+        "conformity": vars(agreement),
+        "trained": {
+            "topology": vars(topology(mesh)),
+            "curvature": None if bent is None else vars(bent),
+            "dihedral_mean_curvature": curvature.dihedral_mean_curvature(mesh),
+            "sdf_loss": loss,
+        },
+    }
+
+
+def failed_gates(metrics: dict[str, Any]) -> list[str]:
+    """Gates of an evaluation that did not hold; gates that were not run do not count as held."""
+    return [name for name, held in metrics["gates"].items() if held is False]
+
+
+def _extra(params: Params) -> dict[str, Path]:
+    return {} if params.reference is None else {"reference": Path(params.reference)}
+
+
+STAGE = Stage(
+    name="evaluate",
+    version=1,
+    params=Params,
+    run=run,
+    parents=lambda params: tuple(dict.fromkeys(("classify", "sphere-train", params.of)))
+    if params.of != "init"
+    else ("classify", "init"),
+    reads_input=True,
+    stem=lambda params: f"evaluate-{params.of}",
+    extra_inputs=_extra,
+)

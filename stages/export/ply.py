@@ -1,0 +1,153 @@
+"""PLY: polygon surfaces, binary little-endian out; any PLY of plain faces in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..surface.polygons import Floats, Ints, PolygonMesh
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+def encode(
+    mesh: PolygonMesh,
+    vertex_data: Mapping[str, Floats] | None = None,
+    face_data: Mapping[str, Floats] | None = None,
+) -> bytes:
+    """The PLY bytes of ``mesh``: double coordinates, int32 indices, optional float scalars."""
+    vertex_data, face_data = dict(vertex_data or {}), dict(face_data or {})
+    header = ["ply", "format binary_little_endian 1.0", "comment vorolight"]
+    header += [f"element vertex {mesh.vertex_count}"]
+    header += [f"property double {axis}" for axis in "xyz"]
+    header += [f"property float {name}" for name in vertex_data]
+    header += [f"element face {mesh.face_count}", "property list uchar int vertex_indices"]
+    header += [f"property float {name}" for name in face_data]
+    if mesh.face_count and mesh.valences.max() > 255:
+        raise InputError("a face has more than 255 corners, which a PLY list cannot hold")
+    fields = [("xyz", "<f8", (3,)), *((name, "<f4") for name in vertex_data)]
+    vertices = np.zeros(mesh.vertex_count, dtype=fields)
+    vertices["xyz"] = mesh.vertices
+    for name, values in vertex_data.items():
+        vertices[name] = values
+    extra = 4 * len(face_data)
+    rows = 1 + 4 * mesh.valences + extra
+    starts = np.concatenate([[0], np.cumsum(rows)]).astype(np.int64)
+    body = np.zeros(starts[-1], dtype=np.uint8)
+    body[starts[:-1]] = mesh.valences
+    within = np.arange(len(mesh.face_vertices)) - mesh.face_offsets[:-1][mesh.corner_faces]
+    at = starts[:-1][mesh.corner_faces] + 1 + 4 * within
+    corner_bytes = mesh.face_vertices.astype("<i4").view(np.uint8).reshape(-1, 4)
+    body[at[:, None] + np.arange(4)] = corner_bytes
+    for number, values in enumerate(face_data.values()):
+        at = starts[1:] - extra + 4 * number
+        body[at[:, None] + np.arange(4)] = (
+            np.ascontiguousarray(values, dtype="<f4").view(np.uint8).reshape(-1, 4)
+        )
+    text = "\n".join([*header, "end_header"]) + "\n"
+    return text.encode("ascii") + vertices.tobytes() + body.tobytes()
+
+
+def _row_starts(first: int, following: Ints, count: int) -> Ints:
+    """Positions of ``count`` rows when row i starts at ``following[start of row i - 1]``.
+
+    Pointer doubling: no loop over rows although each start depends on the one before.
+    """
+    starts = np.array([first], dtype=np.int64)
+    jump = following
+    while len(starts) < count:
+        starts = np.concatenate([starts, jump[starts]])
+        if len(starts) < count:
+            jump = jump[jump]
+    return starts[:count]
+
+
+def _ragged_faces(values: Ints, counts_at: Ints, width: int, count: int) -> tuple[Ints, Ints]:
+    """Offsets and first-index positions of ``count`` lists that lie one after the other."""
+    length = len(values)
+    following = np.minimum(np.arange(length) + 1 + width * counts_at, length - 1)
+    starts = _row_starts(0, following, count)
+    sizes = counts_at[starts]
+    if count and starts[-1] + 1 + width * sizes[-1] > length:
+        raise ValueError("the face list ends early")
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    owner = np.repeat(np.arange(count), sizes)
+    within = np.arange(offsets[-1]) - offsets[:-1][owner]
+    return offsets, starts[owner] + 1 + width * within
+
+
+def _header(raw: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
+    end = raw.find(b"end_header")
+    if not raw.startswith(b"ply") or end < 0:
+        raise ValueError("it has no PLY header")
+    body = raw.find(b"\n", end) + 1
+    kind, elements = "", []
+    for line in raw[:end].decode("ascii", errors="replace").splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "format" and len(words) > 1:
+            kind = words[1]
+        elif words[0] == "element" and len(words) == 3:
+            elements.append((words[1], int(words[2]), []))
+        elif words[0] == "property" and elements:
+            elements[-1][2].append(words[1:])
+    return kind, elements, body
+
+
+def decode(raw: bytes) -> PolygonMesh | None:
+    """The polygons of a PLY, or None when its layout is not the plain one (vertices, then one
+    list of corners a face) that this reader keeps.
+
+    Raises ValueError for a damaged file.
+    """
+    kind, elements, at = _header(raw)
+    if [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+        return None
+    (_, vertex_count, vertex_properties), (_, face_count, face_properties) = elements[:2]
+    if any(p[0] == "list" for p in vertex_properties) or len(face_properties) != 1:
+        return None
+    corner_list = face_properties[0]
+    if len(corner_list) != 4 or corner_list[0] != "list":
+        return None
+    if vertex_count < 0 or face_count < 0 or vertex_count + face_count > len(raw):
+        raise ValueError("its header promises more elements than the file has bytes")
+    names = [p[1] for p in vertex_properties]
+    if not {"x", "y", "z"} <= set(names):
+        raise ValueError("its vertices have no x, y, z")
+    if kind == "ascii":
+        numbers = np.array(raw[at:].split(), dtype=np.float64)
+        table = numbers[: vertex_count * len(names)].reshape(vertex_count, len(names))
+        vertices = np.stack([table[:, names.index(axis)] for axis in "xyz"], axis=1)
+        tokens = numbers[vertex_count * len(names) :].astype(np.int64)
+        if face_count and len(tokens) == 0:
+            raise ValueError("the face list ends early")
+        offsets, positions = _ragged_faces(tokens, tokens, 1, face_count)
+        return PolygonMesh(vertices, offsets, tokens[positions])
+    order = {"binary_little_endian": "<", "binary_big_endian": ">"}[kind]
+    layout = np.dtype([(p[1], order + _TYPES[p[0]]) for p in vertex_properties])
+    records = np.frombuffer(raw, layout, vertex_count, at)
+    vertices = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    body = np.frombuffer(raw, np.uint8, offset=at + vertex_count * layout.itemsize)
+    if _TYPES[corner_list[1]] not in ("u1", "i1") or np.dtype(_TYPES[corner_list[2]]).itemsize != 4:
+        return None
+    if face_count and len(body) == 0:
+        raise ValueError("the face list ends early")
+    offsets, positions = _ragged_faces(
+        body.astype(np.int64), body.astype(np.int64), 4, face_count
+    )
+    index_bytes = np.ascontiguousarray(body[positions[:, None] + np.arange(4)])
+    indices = index_bytes.view(order + _TYPES[corner_list[2]]).reshape(-1).astype(np.int64)
+    return PolygonMesh(vertices, offsets, indices)
+
+
+def read(path: Path) -> PolygonMesh | None:
+    """As ``decode``, from a file."""
+    return decode(Path(path).read_bytes())

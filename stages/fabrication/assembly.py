@@ -1,0 +1,78 @@
+"""From bodies to one printable mesh: a single union, one part, safe in 32-bit coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NumericalFailure
+from ..surface.polygons import Ints
+
+Floats32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Part:
+    """The printed body and what was left out of it."""
+
+    vertices: Floats32
+    triangles: Ints
+    volume: float
+    genus: int
+    dropped_parts: int
+    dropped_volume: float
+
+
+def assemble(add: list[Any], cavity: Any | None, flat_base: bool) -> Part:
+    """Union of ``add`` in one operation, less ``cavity``, cut at z = 0; the largest part of it.
+
+    Raises NumericalFailure when the union fails or the result cannot be written closed.
+    """
+    from manifold3d import Manifold, OpType
+
+    body = Manifold.batch_boolean(add, OpType.Add)
+    if cavity is not None:
+        body = body - cavity
+    if flat_base:
+        body = body.trim_by_plane((0, 0, 1), 0.0)
+    if body.status().name != "NoError" or body.is_empty():
+        raise NumericalFailure(f"the union of the tubes failed ({body.status().name})")
+    parts = sorted(body.decompose(), key=lambda part: -part.volume())
+    mesh = parts[0].to_mesh64()
+    vertices, triangles = _weld(
+        np.asarray(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts, dtype=np.int64)
+    )
+    return Part(
+        vertices=vertices,
+        triangles=triangles,
+        volume=float(parts[0].volume()),
+        genus=int(parts[0].genus()),
+        dropped_parts=len(parts) - 1,
+        dropped_volume=float(sum(part.volume() for part in parts[1:])),
+    )
+
+
+def _weld(vertices: NDArray[np.float64], triangles: Ints) -> tuple[Floats32, Ints]:
+    """Round to 32 bits as STL does, merge equal vertices, drop triangles that collapse.
+
+    Two triangles over the same three vertices in opposite directions enclose nothing and go too.
+    """
+    places, index = np.unique(vertices.astype(np.float32), axis=0, return_inverse=True)
+    triangles = index.reshape(-1)[triangles]
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
+    order = np.argsort(triangles, axis=1)
+    ordered = np.take_along_axis(triangles, order, axis=1)
+    even = np.isin(order @ np.array([9, 3, 1]), [0 * 9 + 1 * 3 + 2, 1 * 9 + 2 * 3, 2 * 9 + 1])
+    _, group = np.unique(ordered, axis=0, return_inverse=True)
+    balance = np.bincount(group.reshape(-1), np.where(even, 1, -1))
+    size = np.bincount(group.reshape(-1))
+    paired = ((size == 2) & (balance == 0))[group.reshape(-1)]
+    triangles = triangles[~paired]
+    used = np.unique(triangles)
+    renumber = np.zeros(len(places), dtype=np.int64)
+    renumber[used] = np.arange(len(used))
+    return places[used], renumber[triangles]

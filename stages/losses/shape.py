@@ -1,0 +1,97 @@
+"""Shape losses (paper's appendix A.1): how far surface samples lie from the target.
+
+Everything is in model units: lengths divided by the spacing h0, about the grid's origin. The
+paper's division by h0^2 is in that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from ..errors import NumericalFailure
+from ..surface.frames import Frames
+from ..surface.polygons import Floats
+
+if TYPE_CHECKING:
+    from ..sources.protocol import Source
+
+ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
+"""``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
+
+
+@dataclass(frozen=True)
+class ModelFrame:
+    """``input = origin + spacing * model``."""
+
+    origin: Floats
+    spacing: float
+
+    def model_from_input(self, points: Floats) -> Floats:
+        return (points - self.origin) / self.spacing
+
+    def input_from_model(self, points: Floats) -> Floats:
+        return self.origin + self.spacing * points
+
+
+def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:
+    """Face vertices, face centroids and fan-triangle centres, ``(V + F + sum, 3)``."""
+    return torch.cat([vertices, frames.centroid, frames.fan_centres])
+
+
+def for_source(
+    source: Source, frame: ModelFrame, target_samples: int, random: Any, threads: int
+) -> ShapeLoss:
+    """The paper's loss for the kind of ``source``: level set for fields, Chamfer for meshes."""
+    from ..sources.fields import FieldSource
+
+    if isinstance(source, FieldSource):
+        return level_set(source.level, frame)
+    target = source.surface_samples(target_samples, random)
+    return Chamfer(frame.model_from_input(target), threads)
+
+
+def level_set(level: Callable[[torch.Tensor], torch.Tensor], frame: ModelFrame) -> ShapeLoss:
+    """``L_d = mean d(x_i)^2 / h0^2`` for a field with value ``level`` at input coordinates."""
+    origin, spacing = torch.as_tensor(frame.origin), frame.spacing
+
+    def loss(samples: torch.Tensor, refresh: bool) -> torch.Tensor:
+        values = level(origin.to(samples.device) + spacing * samples)
+        return (values**2).mean() / spacing**2
+
+    return loss
+
+
+class Chamfer:
+    """``L_pc``: bidirectional squared Chamfer distance to fixed target points ``(M, 3)``.
+
+    Nearest neighbours are found by KD-trees whenever ``refresh`` is set and kept in between; the
+    gradient treats them as fixed, as is exact wherever the nearest point is unique.
+    """
+
+    def __init__(self, target: Floats, threads: int) -> None:
+        from scipy.spatial import cKDTree
+
+        self.tree: Any = cKDTree(target)
+        self.target = torch.as_tensor(target)
+        self.threads = threads
+        self.forward = self.backward = torch.zeros(0, dtype=torch.int64)
+
+    def __call__(self, samples: torch.Tensor, refresh: bool) -> torch.Tensor:
+        from scipy.spatial import cKDTree
+
+        target = self.target = self.target.to(samples.device)
+        if refresh or len(self.forward) != len(samples):
+            here = samples.detach().cpu().numpy()
+            if not np.isfinite(here).all():
+                raise NumericalFailure("a surface vertex is not finite: the training diverged")
+            self.forward = torch.as_tensor(self.tree.query(here, workers=self.threads)[1])
+            own = cKDTree(here, balanced_tree=False, compact_nodes=False)
+            self.backward = torch.as_tensor(own.query(self.tree.data, workers=self.threads)[1])
+        to_target = ((samples - target[self.forward]) ** 2).sum(1).mean()
+        to_samples = ((target - samples.index_select(0, self.backward)) ** 2).sum(1).mean()
+        return to_target + to_samples

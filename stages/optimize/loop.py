@@ -1,0 +1,99 @@
+"""The one training loop: Adam, a schedule, checkpoints, and a history of the losses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+
+from ..errors import NumericalFailure
+
+if TYPE_CHECKING:
+    from ..artifacts.checkpoints import Checkpoints
+    from ..contract import Progress
+
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+"""Adam's constants (Kingma and Ba 2015)."""
+
+Losses = Callable[[int], dict[str, torch.Tensor]]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long and how fast."""
+
+    iterations: int
+    rate: float
+    decay: Literal["constant", "cosine"]
+    checkpoint_every: int
+    """Iterations between checkpoints; a multiple of every interval at which ``losses`` refreshes
+    what it caches, so that a resumed run repeats the interrupted one bit by bit."""
+
+    def rate_at(self, iteration: int) -> float:
+        if self.decay == "constant":
+            return self.rate
+        return 0.5 * self.rate * (1 + math.cos(math.pi * iteration / self.iterations))
+
+
+def adam(
+    parameters: Mapping[str, torch.Tensor],
+    losses: Losses,
+    weights: Mapping[str, float],
+    schedule: Schedule,
+    checkpoints: Checkpoints,
+    progress: Progress,
+    label: str,
+) -> np.ndarray:
+    """Minimise ``sum of weights[k] * losses(iteration)[k]`` over ``parameters``, in place.
+
+    Resumes from the newest checkpoint. Returns the history ``(iterations, len(weights))`` of the
+    unweighted losses. Raises NumericalFailure when a loss or gradient is not finite.
+    """
+    tensors = list(parameters.values())
+    # Written out: importing torch.optim costs two seconds, more than some stages need in all.
+    means = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
+    squares = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
+    history = np.zeros((schedule.iterations, len(weights)))
+    first = 0
+    found = checkpoints.latest()
+    if found is not None:
+        first, state = found
+        history[:first] = state["history"]
+        with torch.no_grad():
+            for name, tensor in parameters.items():
+                tensor.copy_(torch.as_tensor(state[name]))
+                means[name].copy_(torch.as_tensor(state[f"{name}.mean"]))
+                squares[name].copy_(torch.as_tensor(state[f"{name}.square"]))
+    progress.start(label, schedule.iterations)
+    for iteration in range(first, schedule.iterations):
+        terms = losses(iteration)
+        total = torch.stack([weights[key] * terms[key] for key in weights]).sum()
+        gradients = torch.autograd.grad(total, tensors)
+        history[iteration] = [float(terms[key].detach()) for key in weights]
+        if not np.isfinite(history[iteration]).all() or not all(
+            bool(gradient.isfinite().all()) for gradient in gradients
+        ):
+            raise NumericalFailure(
+                f"{label}: a loss or gradient is not finite at iteration {iteration}; "
+                "lower --learning-rate"
+            )
+        rate = schedule.rate_at(iteration) / (1 - BETA1 ** (iteration + 1))
+        with torch.no_grad():
+            for (name, tensor), gradient in zip(parameters.items(), gradients, strict=True):
+                means[name].mul_(BETA1).add_(gradient, alpha=1 - BETA1)
+                squares[name].mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+                scale = (squares[name] / (1 - BETA2 ** (iteration + 1))).sqrt_().add_(EPSILON)
+                tensor.addcdiv_(means[name], scale, value=-rate)
+        progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
+        if (iteration + 1) % schedule.checkpoint_every == 0 and iteration + 1 < schedule.iterations:
+            saved = {"history": history[: iteration + 1]}
+            for name, tensor in parameters.items():
+                saved[name] = tensor.detach().cpu().numpy()
+                saved[f"{name}.mean"] = means[name].cpu().numpy()
+                saved[f"{name}.square"] = squares[name].cpu().numpy()
+            checkpoints.save(iteration + 1, saved)
+    return history

@@ -1,0 +1,1 @@
+"""Cameras, visibility and shading for pictures."""

@@ -1,0 +1,134 @@
+"""Built-in implicit fields: negative inside, zero on the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..surface.polygons import Floats
+
+Formula = Callable[[Any, Any, Any, ModuleType], Any]
+
+
+def _heart(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
+    """Taubin's heart (1993), as in the paper's section 4.1."""
+    body = x * x + 2.25 * y * y + z * z - 1
+    return body * body * body - (x * x + 9 / 80 * y * y) * z * z * z
+
+
+def _sphere(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
+    """The unit sphere's signed distance."""
+    return xp.sqrt(x * x + y * y + z * z) - 1
+
+
+def _cube_cavity(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
+    """``max(F_cube, -F_sphere)``: half-edge 0.5, a closed spherical cavity of radius 0.4."""
+    cube = xp.maximum(xp.maximum(xp.abs(x), xp.abs(y)), xp.abs(z)) - 0.5
+    return xp.maximum(cube, 0.4 - xp.sqrt(x * x + y * y + z * z))
+
+
+def _torus(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
+    """A torus about the z axis, radii 1 and 0.4: its signed distance."""
+    ring = xp.sqrt(x * x + y * y) - 1
+    return xp.sqrt(ring * ring + z * z) - 0.4
+
+
+@dataclass(frozen=True)
+class BuiltIn:
+    """A formula, the half-edge of the cube that is searched, and a radius that holds the shape."""
+
+    formula: Formula
+    half_edge: float
+    radius: float
+
+
+FIELDS = {
+    "heart": BuiltIn(_heart, 1.5, 1.45),
+    "cube-cavity": BuiltIn(_cube_cavity, 0.75, 0.87),
+    "sphere": BuiltIn(_sphere, 1.5, 1.01),
+    "torus": BuiltIn(_torus, 1.75, 1.41),
+}
+
+
+@dataclass(frozen=True)
+class FieldSource:
+    """One of the built-in fields."""
+
+    name: str
+    kind: str = "field"
+    path: Path | None = None
+
+    def bounding_box(self) -> Floats:
+        half = FIELDS[self.name].half_edge
+        return np.array([[-half] * 3, [half] * 3])
+
+    def value(self, points: Floats) -> Floats:
+        """The level-set value F at ``points (N, 3)``, ``(N,)``."""
+        return np.asarray(FIELDS[self.name].formula(points[:, 0], points[:, 1], points[:, 2], np))
+
+    def level(self, points: Any) -> Any:
+        """F as a differentiable function of a torch tensor ``(N, 3)``."""
+        import torch
+
+        x, y, z = points.unbind(1)
+        return FIELDS[self.name].formula(x, y, z, torch)
+
+    def mean_curvature(self, points: Floats) -> Floats:
+        """``H = div(grad F / |grad F|) / 2`` at ``points (N, 3)``, by automatic differentiation."""
+        import torch
+
+        at = torch.tensor(points, requires_grad=True)
+        (gradient,) = torch.autograd.grad(self.level(at).sum(), at, create_graph=True)
+        normal = gradient / torch.linalg.vector_norm(gradient, dim=1, keepdim=True)
+        divergence = torch.zeros(len(points), dtype=torch.float64)
+        for axis in range(3):
+            if normal[:, axis].requires_grad:
+                (row,) = torch.autograd.grad(normal[:, axis].sum(), at, retain_graph=True)
+                divergence += row[:, axis]
+        return np.asarray(0.5 * divergence)
+
+    def inside(self, points: Floats) -> NDArray[np.bool_]:
+        return self.value(points) < 0
+
+    def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
+        """Crossings of random lines with the surface.
+
+        Lines that are uniform in direction and offset meet every piece of surface in proportion to
+        its area (Cauchy-Crofton), so no mesh is needed and none biases the sample.
+        """
+        radius = FIELDS[self.name].radius
+        steps = np.linspace(-radius, radius, 200)
+        found: list[Floats] = []
+        total = 0
+        while total < count:
+            direction = random.normal(size=(4096, 3))
+            direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+            offset = random.normal(size=(4096, 3))
+            offset -= np.einsum("ij,ij->i", offset, direction)[:, None] * direction
+            offset /= np.linalg.norm(offset, axis=1, keepdims=True)
+            offset *= radius * np.sqrt(random.random((4096, 1)))
+            points = offset[:, None] + steps[:, None] * direction[:, None]
+            below = (self.value(points.reshape(-1, 3)) < 0).reshape(4096, -1)
+            line, step = np.nonzero(below[:, 1:] != below[:, :-1])
+            low, high = steps[step], steps[step + 1]
+            starts_inside = below[line, step]
+            for _ in range(50):
+                middle = 0.5 * (low + high)
+                at = offset[line] + middle[:, None] * direction[line]
+                same = (self.value(at) < 0) == starts_inside
+                low, high = np.where(same, middle, low), np.where(same, high, middle)
+            found.append(offset[line] + (0.5 * (low + high))[:, None] * direction[line])
+            total += len(line)
+        return np.concatenate(found)[:count]
+
+    def describe(self) -> dict[str, Any]:
+        return {"kind": self.kind, "name": self.name}
+
+    def warnings(self) -> list[str]:
+        return []

@@ -1,0 +1,114 @@
+"""Reading meshes: OBJ and PLY with their polygons kept, everything else through trimesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..export import ply
+from ..surface.polygons import PolygonMesh
+
+
+@dataclass(frozen=True)
+class LoadedMesh:
+    """A mesh as found in a file: nothing merged, nothing repaired."""
+
+    polygons: PolygonMesh
+    polygons_kept: bool
+    """False when trimesh read the file: it fans polygons into triangles."""
+
+
+def load(path: Path) -> LoadedMesh:
+    """The mesh in ``path``, coordinates as in the file.
+
+    Raises InputError for files that are missing, empty or not a mesh, and for meshes without
+    faces, with coordinates that are not finite, or without extent.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a mesh file or the name of a built-in field")
+    try:
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: the file is empty; export the mesh again")
+        mesh, kept = _read(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
+    if mesh.vertex_count == 0 or mesh.face_count == 0:
+        raise InputError(
+            f"{path}: holds {mesh.vertex_count} vertices and {mesh.face_count} faces, so no "
+            "surface; give a mesh with faces"
+        )
+    if mesh.face_vertices.min() < 0 or mesh.face_vertices.max() >= mesh.vertex_count:
+        raise InputError(f"{path}: a face names a vertex that is not there; export the mesh again")
+    mesh = mesh.without_unused_vertices()
+    bad = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
+    if bad:
+        raise InputError(
+            f"{path}: {bad} vertices have coordinates that are not finite; repair the mesh"
+        )
+    extent = np.ptp(mesh.vertices, axis=0)
+    if np.count_nonzero(extent) < 3:
+        raise InputError(
+            f"{path}: the mesh is flat (extent {extent[0]:g} x {extent[1]:g} x {extent[2]:g}) and "
+            "encloses nothing; give a closed surface"
+        )
+    return LoadedMesh(mesh, kept)
+
+
+def _read(path: Path) -> tuple[PolygonMesh, bool]:
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".obj":
+            return _read_obj(path), True
+        if suffix == ".ply":
+            mesh = ply.read(path)
+            if mesh is not None:
+                return mesh, True
+    except (ValueError, KeyError, IndexError, OverflowError) as error:
+        raise InputError(f"{path}: not a readable {suffix[1:].upper()} file ({error})") from error
+    return _read_trimesh(path), False
+
+
+def _read_obj(path: Path) -> PolygonMesh:
+    """Vertices and faces of a Wavefront OBJ; negative indices count from the end so far."""
+    vertices: list[bytes] = []
+    corners: list[int] = []
+    offsets = [0]
+    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+        if line.startswith(b"v "):
+            vertices.append(b" ".join(line.split()[1:4]))
+        elif line.startswith(b"f "):
+            try:
+                ring = [int(word.split(b"/", 1)[0]) for word in line.split()[1:]]
+            except ValueError:
+                raise ValueError(f"line {number} is no face") from None
+            if len(ring) > 2:
+                corners.extend(index - 1 if index > 0 else len(vertices) + index for index in ring)
+                offsets.append(len(corners))
+    flat = np.array(b" ".join(vertices).split(), dtype=np.float64)
+    if len(flat) != 3 * len(vertices):
+        raise ValueError("a vertex has fewer than three coordinates")
+    return PolygonMesh(
+        flat.reshape(-1, 3), np.array(offsets, dtype=np.int64), np.array(corners, dtype=np.int64)
+    )
+
+
+def _read_trimesh(path: Path) -> PolygonMesh:
+    import trimesh
+
+    known = trimesh.available_formats()
+    if path.suffix.lower().lstrip(".") not in known:
+        raise InputError(
+            f"{path}: files of kind '{path.suffix}' are not read; convert it to OBJ, PLY or STL"
+        )
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        mesh = scene.to_mesh()
+    # trimesh's loaders raise whatever the damaged bytes lead them to.
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: trimesh cannot read it ({reason[:120]})") from error
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return PolygonMesh.of_triangles(np.asarray(mesh.vertices, dtype=np.float64), faces)

@@ -1,0 +1,41 @@
+"""What every kind of input answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..surface.polygons import Floats
+
+
+class Source(Protocol):
+    """A shape. All coordinates are the input's own."""
+
+    name: str
+    kind: str
+    path: Path | None
+    """The file it comes from; None for a built-in field."""
+
+    def bounding_box(self) -> Floats:
+        """A box ``(2, 3)`` that holds the shape: lower corner, upper corner."""
+        ...
+
+    def inside(self, points: Floats) -> NDArray[np.bool_]:
+        """Whether each of ``points (N, 3)`` is inside."""
+        ...
+
+    def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
+        """``count`` points on the surface, uniform by area, ``(count, 3)``."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """What was understood of the input, for the manifest."""
+        ...
+
+    def warnings(self) -> list[str]:
+        """What the user should know about this input."""
+        ...
+

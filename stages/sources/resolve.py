@@ -1,0 +1,51 @@
+"""From what the user typed, or a manifest recorded, to a source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..artifacts import fingerprint
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .protocol import Source
+
+
+@dataclass(frozen=True)
+class Identity:
+    """An input without opening it: what a fingerprint and a manifest need."""
+
+    kind: str
+    name: str
+    path: Path | None
+    bytes: int | None
+    sha256: str | None
+
+    def open(self) -> Source:
+        """The source. Raises InputError when the file cannot be used."""
+        from .fields import FieldSource
+        from .mesh import MeshSource
+
+        return FieldSource(self.name) if self.path is None else MeshSource(self.path)
+
+
+def identify(text: str) -> Identity:
+    """The input called ``text``: an existing path wins over a built-in field of that name.
+
+    Raises InputError when it is neither, or a file that cannot be read.
+    """
+    from .fields import FIELDS
+
+    path = Path(text)
+    if path.exists():
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; give a mesh file")
+        return Identity("mesh", path.stem, path, path.stat().st_size, fingerprint.of_file(path))
+    if text in FIELDS:
+        return Identity("field", text, None, None, None)
+    raise InputError(
+        f"{text}: no such file, and no built-in field of that name ({', '.join(sorted(FIELDS))}); "
+        "check the path"
+    )

@@ -1,0 +1,1 @@
+"""The polygon mesh: flat arrays, geometry, topology."""

@@ -1,0 +1,62 @@
+"""Topology edits on polygon meshes: contracted edges, thinned rings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .polygons import Ints, PolygonMesh
+from .topology import edges
+
+
+def reduce_rings(mesh: PolygonMesh, target: Ints) -> tuple[PolygonMesh, NDArray[np.bool_]]:
+    """Rings over ``target (V,)`` (-1 leaves the ring) without repeats and spikes.
+
+    Faces left with fewer than three corners go; the second value tells which stay, ``(F,)``.
+    """
+    corners, faces = target[mesh.face_vertices], mesh.corner_faces
+    corners, faces = corners[corners >= 0], faces[corners >= 0]
+    while True:
+        counts = np.bincount(faces, minlength=mesh.face_count)
+        ends = np.cumsum(counts)
+        following = np.arange(1, len(corners) + 1)
+        present = counts > 0
+        following[ends[present] - 1] = (ends - counts)[present]
+        before = np.empty_like(following)
+        before[following] = np.arange(len(corners))
+        repeated = corners == corners[following]
+        # A spike a-b-a: b goes now, the then repeated a in the next pass.
+        spike = (corners[before] == corners[following]) & (counts[faces] > 2) & ~repeated
+        spike &= ~repeated[before] & ~spike[before]
+        drop = repeated | spike
+        if not drop.any():
+            break
+        corners, faces = corners[~drop], faces[~drop]
+    keep = counts >= 3
+    corners = corners[keep[faces]]
+    offsets = np.concatenate([[0], np.cumsum(counts[keep])]).astype(np.int64)
+    return PolygonMesh(mesh.vertices, offsets, corners), keep
+
+
+def contract_short_edges(
+    mesh: PolygonMesh, tolerance: float, movable: NDArray[np.bool_] | None = None
+) -> Ints:
+    """Representative ``(V,)`` of each vertex when edges shorter than ``tolerance`` contract.
+
+    Only edges with both ends ``movable`` do (default: all).
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = edges(mesh)
+    length = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
+    short = length < tolerance
+    if movable is not None:
+        short &= movable[ends].all(axis=1)
+    ends = ends[short]
+    count = mesh.vertex_count
+    graph = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    _, labels = connected_components(graph, directed=False)
+    representative = np.full(labels.max() + 1, count, dtype=np.int64)
+    np.minimum.at(representative, labels, np.arange(count))
+    return representative[labels]

@@ -1,0 +1,109 @@
+"""Areas, normals, centroids and samples of polygon meshes (numpy; for gradients see ``frames``)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .polygons import Floats, Ints, PolygonMesh
+
+
+def face_sums(mesh: PolygonMesh, corner_values: Floats) -> Floats:
+    """Sum of ``corner_values (sum, ...)`` over the corners of each face, ``(F, ...)``."""
+    sums = np.zeros((mesh.face_count, *corner_values.shape[1:]))
+    occupied = np.flatnonzero(mesh.valences > 0)
+    if len(occupied):
+        sums[occupied] = np.add.reduceat(corner_values, mesh.face_offsets[occupied], axis=0)
+    return sums
+
+
+def face_frames(mesh: PolygonMesh) -> tuple[Floats, Floats, Floats]:
+    """Area ``(F,)``, unit normal ``(F, 3)`` and area centroid ``(F, 3)`` of each face.
+
+    Every face is fanned about the mean of its corners: the vector area does not depend on the apex,
+    and the centroid weighs each fan triangle by its area along the face normal, so that clusters of
+    nearly equal vertices do not pull it. A face without area gets the mean and a zero normal.
+    """
+    corners = mesh.vertices[mesh.face_vertices]
+    apex = face_sums(mesh, corners) / np.maximum(mesh.valences, 1)[:, None]
+    at = apex[mesh.corner_faces]
+    following = mesh.vertices[mesh.next_vertices]
+    fans = 0.5 * np.cross(corners - at, following - at)
+    vector_area = face_sums(mesh, fans)
+    area = np.linalg.norm(vector_area, axis=1)
+    solid = area > 0
+    normal = np.zeros_like(vector_area)
+    normal[solid] = vector_area[solid] / area[solid, None]
+    weight = np.einsum("ij,ij->i", fans, normal[mesh.corner_faces])
+    offset = face_sums(mesh, weight[:, None] * (corners + following - 2 * at)) / 3
+    centroid = apex.copy()
+    centroid[solid] += offset[solid] / area[solid, None]
+    return area, normal, centroid
+
+
+def fan_triangles(mesh: PolygonMesh) -> tuple[Floats, Ints, Ints]:
+    """Triangles of every face: ``(vertices, triangles (T, 3), face of each triangle (T,))``.
+
+    Triangles stay as they are; larger faces are fanned about their centroid, which is appended to
+    the vertices (this is the subdivision of the paper's appendix).
+    """
+    _, _, centroid = face_frames(mesh)
+    large = mesh.valences > 3
+    index = np.full(mesh.face_count, -1, dtype=np.int64)
+    index[large] = mesh.vertex_count + np.arange(large.sum())
+    corner_large = large[mesh.corner_faces]
+    fans = np.stack(
+        [index[mesh.corner_faces], mesh.face_vertices, mesh.next_vertices], axis=1
+    )[corner_large]
+    small = mesh.valences == 3
+    starts = mesh.face_offsets[:-1][small]
+    plain = mesh.face_vertices[starts[:, None] + np.arange(3)]
+    triangles = np.concatenate([plain, fans])
+    faces = np.concatenate([np.flatnonzero(small), mesh.corner_faces[corner_large]])
+    order = np.argsort(faces, kind="stable")
+    vertices = np.concatenate([mesh.vertices, centroid[large]])
+    return vertices, triangles[order], faces[order]
+
+
+def triangle_areas(vertices: Floats, triangles: Ints) -> Floats:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def enclosed_volume(vertices: Floats, triangles: Ints) -> float:
+    """Signed volume inside a closed triangle surface, positive for outward normals."""
+    origin = vertices.mean(axis=0)
+    a, b, c = (vertices[triangles[:, k]] - origin for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def component_volumes(mesh: PolygonMesh, component: Ints, count: int) -> Floats:
+    """Signed volume enclosed by each component ``(count,)``; a cavity's is negative."""
+    area, normal, centroid = face_frames(mesh)
+    height = np.einsum("ij,ij->i", centroid - mesh.vertices.mean(axis=0), normal)
+    return np.bincount(component, area * height / 3, minlength=count)
+
+
+def sample_triangles(
+    vertices: Floats, triangles: Ints, count: int, random: np.random.Generator
+) -> tuple[Floats, Ints]:
+    """``count`` points uniform by area ``(count, 3)``, and the triangle of each ``(count,)``."""
+    cumulative = np.cumsum(triangle_areas(vertices, triangles))
+    chosen = np.searchsorted(cumulative, random.random(count) * cumulative[-1], side="right")
+    chosen = np.minimum(chosen, len(triangles) - 1)
+    u, v = random.random(count), random.random(count)
+    root = np.sqrt(u)[:, None]
+    a, b, c = (vertices[triangles[chosen, k]] for k in range(3))
+    return (1 - root) * a + root * (1 - v[:, None]) * b + root * v[:, None] * c, chosen
+
+
+def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
+    """Area-weighted average of incident triangle normals, unit, ``(V, 3)`` (appendix, curvature)."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    total = np.zeros_like(vertices)
+    for axis in range(3):
+        total[:, axis] = np.bincount(
+            triangles.reshape(-1), np.repeat(cross[:, axis], 3), minlength=len(vertices)
+        )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0, length, 1)

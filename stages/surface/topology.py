@@ -1,0 +1,119 @@
+"""Edges, neighbours, components and closedness of polygon meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .polygons import Ints, PolygonMesh
+
+
+def edge_keys(mesh: PolygonMesh) -> tuple[Ints, NDArray[np.bool_]]:
+    """For each corner the undirected edge to the next corner as one integer, and its direction."""
+    start, end = mesh.face_vertices, mesh.next_vertices
+    keys = np.minimum(start, end) * mesh.vertex_count + np.maximum(start, end)
+    return keys, start < end
+
+
+def edges(mesh: PolygonMesh) -> Ints:
+    """The undirected edges, ``(E, 2)``, smaller index first, sorted."""
+    keys = np.unique(edge_keys(mesh)[0])
+    return np.stack(np.divmod(keys, max(mesh.vertex_count, 1)), axis=1)
+
+
+def bad_edges(mesh: PolygonMesh) -> Ints:
+    """Edges ``(B, 2)`` that are not in exactly two faces with opposite directions."""
+    keys, forward = edge_keys(mesh)
+    unique, inverse = np.unique(keys, return_inverse=True)
+    uses = np.bincount(inverse, minlength=len(unique))
+    ahead = np.bincount(inverse, forward, minlength=len(unique))
+    loop = np.zeros(len(unique), dtype=bool)
+    loop[inverse[mesh.face_vertices == mesh.next_vertices]] = True
+    bad = unique[(uses != 2) | (ahead != 1) | loop]
+    return np.stack(np.divmod(bad, max(mesh.vertex_count, 1)), axis=1)
+
+
+def face_neighbours(mesh: PolygonMesh) -> Ints:
+    """Pairs of faces that share an edge, both orders, ``(P, 2)``."""
+    keys, _ = edge_keys(mesh)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    same = np.flatnonzero(ordered[1:] == ordered[:-1])
+    left, right = mesh.corner_faces[order[same]], mesh.corner_faces[order[same + 1]]
+    return np.concatenate([np.stack([left, right], 1), np.stack([right, left], 1)])
+
+
+def face_components(mesh: PolygonMesh) -> tuple[int, Ints]:
+    """Number of edge-connected components, and the component of each face ``(F,)``."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = face_neighbours(mesh)
+    shape = (mesh.face_count, mesh.face_count)
+    graph = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=shape)
+    count, labels = connected_components(graph, directed=False)
+    return int(count), labels.astype(np.int64)
+
+
+def pinched_vertices(mesh: PolygonMesh) -> Ints:
+    """Vertices whose faces do not form one fan (more than one edge-connected group of corners)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    # Corners are the nodes: two are joined when they sit at the same vertex on both sides of an
+    # edge. The number of joined groups at a vertex is its number of fans.
+    count = len(mesh.face_vertices)
+    corner = np.arange(count)
+    following = corner + 1
+    nonempty = mesh.valences > 0
+    following[mesh.face_offsets[1:][nonempty] - 1] = mesh.face_offsets[:-1][nonempty]
+    keys, _ = edge_keys(mesh)
+    half_key = np.concatenate([keys, keys]) * 2
+    at_start = mesh.face_vertices < mesh.next_vertices
+    half_key[:count] += ~at_start
+    half_key[count:] += at_start
+    half_corner = np.concatenate([corner, following])
+    order = np.argsort(half_key, kind="stable")
+    ordered = half_key[order]
+    same = np.flatnonzero(ordered[1:] == ordered[:-1])
+    rows, columns = half_corner[order[same]], half_corner[order[same + 1]]
+    graph = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(count, count))
+    _, group = connected_components(graph, directed=False)
+    pairs = np.unique(np.stack([mesh.face_vertices, group], axis=1), axis=0)
+    fans = np.bincount(pairs[:, 0], minlength=mesh.vertex_count)
+    return np.flatnonzero(fans > 1)
+
+
+@dataclass(frozen=True)
+class Topology:
+    """What a surface is, combinatorially."""
+
+    vertices: int
+    edges: int
+    faces: int
+    euler_number: int
+    components: int
+    bad_edges: int
+    pinched_vertices: int
+
+    @property
+    def closed(self) -> bool:
+        """Every edge in exactly two faces with opposite directions."""
+        return self.faces > 0 and self.bad_edges == 0
+
+
+def topology(mesh: PolygonMesh) -> Topology:
+    """Counts over the vertices that faces use; Euler number V - E + F."""
+    vertex_count = len(np.unique(mesh.face_vertices))
+    edge_count = len(edges(mesh))
+    return Topology(
+        vertices=vertex_count,
+        edges=edge_count,
+        faces=mesh.face_count,
+        euler_number=vertex_count - edge_count + mesh.face_count,
+        components=face_components(mesh)[0] if mesh.face_count else 0,
+        bad_edges=len(bad_edges(mesh)),
+        pinched_vertices=len(pinched_vertices(mesh)) if mesh.face_count else 0,
+    )

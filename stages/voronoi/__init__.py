@@ -1,0 +1,1 @@
+"""Diagrams, interfaces, cells, and how well surfaces conform to them."""

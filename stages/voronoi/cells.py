@@ -1,0 +1,108 @@
+"""Voronoi cells: centroids for the CVT, and closed polyhedra with shared faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..surface.geometry import face_frames
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from .cleanup import FLAT, settle
+from .delaunay import Tetrahedra, delaunay
+from .interface import rings_to_surface
+from .rings import Selection, voronoi_rings
+
+
+def _touching(count: int) -> Selection:
+    """Every face of the first ``count`` generators once, from the smaller index to the larger."""
+
+    def select(a: Ints, b: Ints) -> NDArray[np.int8]:
+        forward = (a < b).astype(np.int8)
+        return np.where(np.minimum(a, b) < count, 2 * forward - 1, 0).astype(np.int8)
+
+    return select
+
+
+def cell_centroids(generators: Floats, count: int) -> tuple[Floats, Floats]:
+    """Volumes ``(count,)`` and centroids ``(count, 3)`` of the cells of the first generators.
+
+    Each cell is the pyramids from its generator to its faces. Raises NumericalFailure when one of
+    these cells is unbounded.
+    """
+    diagram = delaunay(generators)
+    rings = voronoi_rings(generators, diagram, _touching(count))
+    area, _, centre = face_frames(rings_to_surface(generators, diagram, rings).mesh)
+    pair = rings.generators
+    distance = np.linalg.norm(generators[pair[:, 1]] - generators[pair[:, 0]], axis=1)
+    pyramid = area * distance / 6
+    volume, moment = np.zeros(count), np.zeros((count, 3))
+    for side in (0, 1):
+        mine = pair[:, side] < count
+        cell, weight = pair[mine, side], pyramid[mine]
+        volume += np.bincount(cell, weight, minlength=count)
+        middle = 0.75 * centre[mine] + 0.25 * generators[cell]
+        for axis in range(3):
+            moment[:, axis] += np.bincount(cell, weight * middle[:, axis], minlength=count)
+    return volume, moment / np.maximum(volume, np.finfo(float).tiny)[:, None]
+
+
+@dataclass(frozen=True)
+class PolyhedralMesh:
+    """Convex cells with shared faces; a face's normal points from its owner to its neighbour."""
+
+    faces: PolygonMesh
+    owner: Ints
+    neighbour: Ints
+    """Cell on the other side ``(F,)``, -1 on the boundary."""
+    cell_generator: Ints
+    cell_volume: Floats
+
+
+def polyhedral_mesh(
+    generators: Floats, inside: NDArray[np.bool_], tetrahedra: Tetrahedra
+) -> PolyhedralMesh:
+    """The cells of all inside generators of a diagram."""
+
+    def select(a: Ints, b: Ints) -> NDArray[np.int8]:
+        a_in, b_in = inside[a], inside[b]
+        sign = np.where(a_in & b_in, np.where(a < b, 1, -1), a_in.astype(int) - b_in.astype(int))
+        return sign.astype(np.int8)
+
+    surface = rings_to_surface(generators, tetrahedra, voronoi_rings(generators, tetrahedra, select))
+    flat = surface.flatness < FLAT
+    faces = surface.mesh.with_vertices(settle(surface.mesh.vertices, surface.mesh, flat))
+    cell_generator = np.unique(surface.generators[inside[surface.generators]])
+    cell = np.full(len(generators), -1, dtype=np.int64)
+    cell[cell_generator] = np.arange(len(cell_generator))
+    owner, neighbour = cell[surface.generators[:, 0]], cell[surface.generators[:, 1]]
+    area, normal, centre = face_frames(faces)
+    volume = np.zeros(len(cell_generator))
+    for sign, side in ((1.0, owner), (-1.0, neighbour)):
+        real = side >= 0
+        apex = generators[cell_generator[side[real]]]
+        height = sign * np.einsum("ij,ij->i", centre[real] - apex, normal[real])
+        volume += np.bincount(side[real], area[real] * height / 3, minlength=len(volume))
+    return PolyhedralMesh(faces, owner, neighbour, cell_generator, volume)
+
+
+def open_cells(mesh: PolyhedralMesh) -> int:
+    """Number of cells whose faces do not meet two by two along every edge."""
+    start, end = mesh.faces.face_vertices, mesh.faces.next_vertices
+    count = mesh.faces.vertex_count
+    parts = []
+    for side, ahead in ((mesh.owner, True), (mesh.neighbour, False)):
+        cell = side[mesh.faces.corner_faces]
+        real = cell >= 0
+        a, b = (start, end) if ahead else (end, start)
+        parts.append(np.stack([cell[real], a[real], b[real]], axis=1))
+    half = np.concatenate(parts)
+    forward = half[:, 1] < half[:, 2]
+    edge = np.minimum(half[:, 1], half[:, 2]) * count + np.maximum(half[:, 1], half[:, 2])
+    order = np.lexsort((edge, half[:, 0]))
+    cell, edge, forward = half[order, 0], edge[order], forward[order]
+    group = np.cumsum(np.diff(edge, prepend=-1).astype(bool) | np.diff(cell, prepend=-1).astype(bool))
+    uses = np.bincount(group)[group]
+    ahead_uses = np.bincount(group, forward)[group]
+    return len(np.unique(cell[(uses != 2) | (ahead_uses != 1)]))

@@ -1,0 +1,110 @@
+"""Degenerate clean-up of an interface: flat tetrahedra dropped, coincident vertices merged.
+
+Trained generators are degenerate on purpose, so many tetrahedra of their diagram are flat and many
+circumcentres coincide. Every step is undone where it would open the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..surface.edits import contract_short_edges, reduce_rings
+from ..surface.polygons import PolygonMesh
+from ..surface.topology import bad_edges, edges
+from .delaunay import Floats, Ints
+from .interface import VoronoiSurface
+
+FLAT = 1e-9
+"""``|det| / Lmax^3`` below which a tetrahedron has no usable circumcentre."""
+MERGE = 1e-6
+"""Distance, in units of the spacing, below which neighbouring Voronoi vertices are one."""
+
+
+@dataclass(frozen=True)
+class CleanSurface:
+    """A closed interface after clean-up, and what was done to it."""
+
+    mesh: PolygonMesh
+    generators: Ints
+    dropped_flat: int
+    merged_vertices: int
+    dropped_faces: int
+    kept_degenerate: int
+    vertex_sources: Ints
+    """For each vertex of the raw surface the vertex of ``mesh`` it became, -1 if dropped."""
+
+
+def settle(positions: Floats, mesh: PolygonMesh, flat: NDArray[np.bool_]) -> Floats:
+    """Move flat vertices, whose circumcentres mean nothing, to the mean of their neighbours."""
+    if not flat.any():
+        return positions
+    ends = edges(mesh)
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    known = ~flat
+    settled = positions.copy()
+    while not known.all():
+        use = ends[known[ends[:, 1]] & ~known[ends[:, 0]]]
+        if len(use) == 0:
+            break
+        total = np.zeros_like(settled)
+        np.add.at(total, use[:, 0], settled[use[:, 1]])
+        count = np.bincount(use[:, 0], minlength=len(settled))
+        settled[count > 0] = total[count > 0] / count[count > 0, None]
+        known = known | (count > 0)
+    return settled
+
+
+def clean(
+    surface: VoronoiSurface, spacing: float, flat: float = FLAT, merge: float = MERGE
+) -> CleanSurface:
+    """The interface without degenerate pieces, closed whenever ``surface`` is.
+
+    ``merge`` is in units of ``spacing``. A vertex next to an edge that the clean-up would leave in
+    other than two faces is put back as the diagram has it, until no such edge is left.
+    """
+    raw = surface.mesh
+    is_flat = surface.flatness < flat
+    raw = raw.with_vertices(settle(raw.vertices, raw, is_flat))
+    frozen = np.zeros(raw.vertex_count, dtype=bool)
+    while True:
+        dropped = is_flat & ~frozen
+        identity = np.where(dropped, -1, np.arange(raw.vertex_count))
+        thinned, _ = reduce_rings(raw, identity)
+        target = contract_short_edges(thinned, merge * spacing, ~frozen & ~dropped)
+        target[dropped] = -1
+        mesh, keep = reduce_rings(raw, target)
+        broken = bad_edges(mesh)
+        if len(broken) == 0:
+            break
+        spoilt = np.zeros(raw.vertex_count + 1, dtype=bool)
+        spoilt[broken.reshape(-1)] = True
+        again = spoilt[target] & ~frozen
+        lost = dropped & np.isin(np.arange(raw.vertex_count), _ring_mates(raw, spoilt[target]))
+        if not (again | lost).any():
+            again = ~frozen
+            if not again.any():
+                break
+        frozen |= again | lost
+    renumber = np.full(raw.vertex_count + 1, -1, dtype=np.int64)
+    used = np.unique(mesh.face_vertices)
+    renumber[used] = np.arange(len(used))
+    moved = target >= 0
+    return CleanSurface(
+        mesh=mesh.without_unused_vertices(),
+        generators=surface.generators[keep],
+        dropped_flat=int(dropped.sum()),
+        merged_vertices=int((moved & (target != np.arange(raw.vertex_count))).sum()),
+        dropped_faces=int((~keep).sum()),
+        kept_degenerate=int(frozen.sum()),
+        vertex_sources=renumber[target],
+    )
+
+
+def _ring_mates(mesh: PolygonMesh, marked: NDArray[np.bool_]) -> Ints:
+    """Vertices that share a face with a marked one."""
+    touched = np.zeros(mesh.face_count, dtype=bool)
+    touched[mesh.corner_faces[marked[mesh.face_vertices]]] = True
+    return np.unique(mesh.face_vertices[touched[mesh.corner_faces]])

@@ -1,0 +1,124 @@
+"""Generators deep inside, placed so that the surface stays as it is (paper's appendix C.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .cells import cell_centroids
+from .cleanup import FLAT
+from .delaunay import Floats, Ints, delaunay
+from .interface import VoronoiSurface
+from .rings import EDGES
+
+SMALLEST_BATCH = 200
+OVERSAMPLING = 3
+INNER_ROUNDS = 50
+OUTER_ROUNDS = 200
+BACKTRACKS = 6
+
+
+@dataclass(frozen=True)
+class Guard:
+    """The surface's generators and vertex spheres, which inner generators must keep out of."""
+
+    generators: Floats
+    inside: NDArray[np.bool_]
+    centres: Floats
+    radii: Floats
+
+    @classmethod
+    def of(cls, generators: Floats, inside: NDArray[np.bool_], surface: VoronoiSurface) -> Guard:
+        """From a raw interface: each vertex with the sphere through its four generators."""
+        sound = surface.flatness >= FLAT
+        centres = surface.mesh.vertices[sound]
+        first = generators[surface.tetrahedra[sound, 0]]
+        return cls(generators, inside, centres, np.linalg.norm(centres - first, axis=1))
+
+    def admits(self, points: Floats, threads: int) -> NDArray[np.bool_]:
+        """Points inside the surface and outside every vertex sphere: adding them changes no face."""
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(self.generators).query(points, workers=threads)[1]
+        admitted = self.inside[nearest]
+        candidates = np.flatnonzero(admitted)
+        if len(candidates) == 0:
+            return admitted
+        tree = cKDTree(points[candidates])
+        hits = tree.query_ball_point(self.centres, self.radii, workers=threads)
+        struck = np.concatenate([np.asarray(row, np.int64) for row in hits])
+        admitted[candidates[struck]] = False
+        return admitted
+
+    def touching_outside(self, points: Floats) -> Ints:
+        """Indices of ``points`` whose cell has a face with an outside cell in the full diagram."""
+        diagram = delaunay(np.concatenate([points, self.generators]))
+        outside = np.concatenate([np.zeros(len(points), bool), ~self.inside])
+        ends = diagram.corners[:, EDGES].reshape(-1, 2)
+        ends = np.concatenate([ends, ends[:, ::-1]])
+        return np.unique(ends[(ends[:, 0] < len(points)) & outside[ends[:, 1]], 0])
+
+
+def sample(
+    guard: Guard,
+    count: int,
+    random: Callable[[str, int], np.random.Generator],
+    threads: int,
+    tick: Callable[[int], None],
+) -> Floats:
+    """``count`` verified interior generators ``(count, 3)``.
+
+    Batches of uniform candidates; those in a vertex sphere go at once, the rest are verified in
+    the Voronoi diagram until none touches an outside cell. Raises InputError when they do not fit.
+    """
+    inner = guard.generators[guard.inside]
+    low, high = inner.min(axis=0), inner.max(axis=0)
+    found = np.zeros((0, 3))
+    for round_number in range(OUTER_ROUNDS):
+        wanted = max(SMALLEST_BATCH, OVERSAMPLING * (count - len(found)))
+        batch = low + random("candidates", round_number).random((wanted, 3)) * (high - low)
+        batch = batch[guard.admits(batch, threads)]
+        for _ in range(INNER_ROUNDS):
+            if len(batch) == 0:
+                break
+            offending = guard.touching_outside(np.concatenate([found, batch])) - len(found)
+            if len(offending) == 0:
+                break
+            keep = np.ones(len(batch), dtype=bool)
+            keep[offending[offending >= 0]] = False
+            batch = batch[keep]
+        found = np.concatenate([found, batch])
+        tick(min(len(found), count))
+        if len(found) >= count:
+            return found[:count]
+    raise InputError(
+        f"only {len(found)} of {count} inner generators fit without touching the surface; "
+        "lower --inner or raise -n"
+    )
+
+
+def lloyd_step(guard: Guard, points: Floats, threads: int) -> tuple[Floats, float]:
+    """Move ``points (M, 3)`` to the centroids of their cells; also the sum of squared distances.
+
+    A move that would enter a vertex sphere is halved, and given up after a few halvings. Outside
+    generators do not bound these cells and stay out of the diagram.
+    """
+    fixed = guard.generators[guard.inside]
+    _, centroid = cell_centroids(np.concatenate([points, fixed]), len(points))
+    step = centroid - points
+    moved = points + step
+    left = np.arange(len(points))
+    for _ in range(BACKTRACKS):
+        left = left[~guard.admits(moved[left], threads)]
+        if len(left) == 0:
+            break
+        step[left] *= 0.5
+        moved[left] = points[left] + step[left]
+    else:
+        left = left[~guard.admits(moved[left], threads)]
+        moved[left] = points[left]
+    return moved, float(((centroid - points) ** 2).sum())

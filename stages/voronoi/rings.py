@@ -1,0 +1,121 @@
+"""Voronoi faces as rings of Delaunay tetrahedra, all faces walked together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NumericalFailure
+from ..surface.polygons import PolygonMesh
+from .delaunay import Floats, Ints, Tetrahedra
+
+# The six edges of a tetrahedron, and for each the two corners it does not touch.
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+OPPOSITE = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
+EDGE_OF = np.full((4, 4), -1)
+EDGE_OF[EDGES[:, 0], EDGES[:, 1]] = EDGE_OF[EDGES[:, 1], EDGES[:, 0]] = np.arange(6)
+
+Selection = Callable[[Ints, Ints], NDArray[np.int8]]
+
+
+@dataclass(frozen=True)
+class Rings:
+    """Voronoi faces: ``generators (F, 2)`` and the tetrahedra around each in compressed rows.
+
+    The ring is counter-clockwise seen from the second generator, so that the face's normal points
+    from the first to the second.
+    """
+
+    generators: Ints
+    offsets: Ints
+    tetrahedra: Ints
+
+
+def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection) -> Rings:
+    """The Voronoi faces of the Delaunay edges that ``select`` names.
+
+    ``select(a, b)`` gets arrays of generator indices and returns 1 where the face from a to b is
+    wanted, -1 where it is wanted from b to a, 0 where it is not. Faces come sorted by their pair.
+
+    Raises NumericalFailure when a wanted face is unbounded (its edge lies on the convex hull) or
+    the triangulation is inconsistent around an edge.
+    """
+    corners, neighbours = tetrahedra.corners, tetrahedra.neighbours
+    wanted = select(corners[:, EDGES[:, 0]], corners[:, EDGES[:, 1]])
+    tet, edge = np.nonzero(wanted)
+    if len(tet) == 0:
+        return Rings(np.zeros((0, 2), np.int64), np.zeros(1, np.int64), np.zeros(0, np.int64))
+    forward = wanted[tet, edge] > 0
+    first = corners[tet, np.where(forward, EDGES[edge, 0], EDGES[edge, 1])]
+    second = corners[tet, np.where(forward, EDGES[edge, 1], EDGES[edge, 0])]
+    incidence = np.full(wanted.shape, -1, dtype=np.int64)
+    incidence[tet, edge] = np.arange(len(tet))
+
+    # State (incidence, side): leave the tetrahedron through the facet opposite OPPOSITE[edge, side];
+    # the other free corner is carried along and is the one to leave opposite of in the next one.
+    following = np.empty((len(tet), 2), dtype=np.int64)
+    for side in (0, 1):
+        beyond = neighbours[tet, OPPOSITE[edge, side]]
+        if (beyond < 0).any():
+            raise NumericalFailure("a Voronoi face of the surface is unbounded")
+        there = corners[beyond]
+        carried = corners[tet, OPPOSITE[edge, 1 - side]]
+        local = [np.argmax(there == which[:, None], axis=1) for which in (first, second, carried)]
+        next_edge = EDGE_OF[local[0], local[1]]
+        next_side = (OPPOSITE[next_edge, 1] == local[2]).astype(np.int64)
+        following[:, side] = 2 * incidence[beyond, next_edge] + next_side
+    following = following.reshape(-1)
+
+    key = first * len(generators) + second
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    valence = np.diff(starts, append=len(order))
+    origin = 2 * order[starts]
+    state = origin.copy()
+    walked = np.empty(len(order), dtype=np.int64)
+    for step in range(int(valence.max())):
+        active = np.flatnonzero(valence > step)
+        walked[starts[active] + step] = state[active]
+        state[active] = following[state[active]]
+    if not np.array_equal(state, origin) or len(np.unique(walked >> 1)) < len(walked):
+        raise NumericalFailure("the Delaunay tetrahedra do not close around an edge")
+
+    # The turning sense about first -> second, from the volumes: scipy does not orient tetrahedra.
+    at, side = walked >> 1, walked & 1
+    base = generators[first[at]]
+    ahead, left, right = (
+        generators[which] - base
+        for which in (
+            second[at],
+            corners[tet[at], OPPOSITE[edge[at], 0]],
+            corners[tet[at], OPPOSITE[edge[at], 1]],
+        )
+    )
+    volume = np.einsum("ij,ij->i", ahead, np.cross(left, right)) * np.where(side == 0, 1.0, -1.0)
+    clockwise = np.add.reduceat(volume, starts) < 0
+    offsets = np.append(starts, len(order)).astype(np.int64)
+    ring = tet[at]
+    within = np.arange(len(ring)) - np.repeat(starts, valence)
+    mirrored = np.repeat(starts + valence - 1, valence) - within
+    ring = np.where(np.repeat(clockwise, valence), ring[mirrored], ring)
+    pairs = np.stack([first[order[starts]], second[order[starts]]], axis=1)
+    return Rings(pairs, offsets, ring)
+
+
+def select_interface(inside: NDArray[np.bool_]) -> Selection:
+    """Edges from an inside to an outside generator."""
+    labels = inside.astype(np.int8)
+    return lambda a, b: (labels[a] - labels[b]).astype(np.int8)
+
+
+def ring_mesh(rings: Rings) -> tuple[PolygonMesh, Ints]:
+    """The polygons of ``rings`` with tetrahedra numbered from 0, and the tetrahedron of each.
+
+    The vertices are not placed yet: all at the origin.
+    """
+    used, corner = np.unique(rings.tetrahedra, return_inverse=True)
+    mesh = PolygonMesh(np.zeros((len(used), 3)), rings.offsets, corner.astype(np.int64))
+    return mesh, used

@@ -1,0 +1,360 @@
+"""The ``vorolight`` command."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import signal
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from vorolight.stages import pipeline
+from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.contract import Stage
+from vorolight.stages.errors import GateFailure, UsageError, VorolightError
+
+from . import summary
+from .console import Console, table
+from .parameters import Function, add_options, build, parameter_names, read_config
+
+HELP = {"help_option_names": ["-h", "--help"]}
+app = typer.Typer(
+    name="vorolight",
+    help="Smooth, watertight polygonal Voronoi surfaces from any shape, volumetric Voronoi meshes "
+    "inside them, and printable lamps made of them.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings=HELP,
+)
+
+EXAMPLES = {
+    "classify": "vorolight classify bunny.obj -n 25",
+    "init": "vorolight init bunny.obj -n 25",
+    "sphere-train": "vorolight sphere-train --iterations 800",
+    "volume": "vorolight volume --inner 800",
+    "evaluate": "vorolight evaluate --of init --reference bunny.obj",
+    "fabricate": "vorolight fabricate --lamp --height 120",
+}
+
+Input = Annotated[
+    str | None,
+    typer.Argument(help="A mesh file, or a built-in field: heart, cube-cavity, sphere, torus."),
+]
+Run = Annotated[
+    Path | None,
+    typer.Option(
+        "--run", envvar="VOROLIGHT_RUN", help="The run folder. Default: INPUT's name + .vorolight."
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of all randomness.", min=0)]
+Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1)]
+Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
+Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
+Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]
+Verify = Annotated[bool, typer.Option("--verify", help="Compare the contents of all files.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the manifest as JSON on stdout.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No progress, no summary.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more, tracebacks included.")]
+NoColor = Annotated[bool, typer.Option("--no-color", help="No colours.")]
+Config = Annotated[
+    Path | None, typer.Option("--config", help="TOML file with a table of options per stage.")
+]
+
+
+@dataclass(frozen=True)
+class Common:
+    """The options every stage command has."""
+
+    console: Console
+    session: pipeline.Session
+    dry_run: bool
+    config: dict[str, dict[str, Any]]
+
+
+def _common(
+    input: Input = None,
+    run: Run = None,
+    seed: Seed = 0,
+    threads: Threads = None,
+    device: Device = "cpu",
+    force: Force = False,
+    dry_run: DryRun = False,
+    touch: Touch = False,
+    verify: Verify = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    no_color: NoColor = False,
+    config: Config = None,
+) -> Common:
+    """What every stage command can be told, besides the stage's own options."""
+    from vorolight.stages.sources.resolve import identify
+
+    if device not in ("cpu", "cuda"):
+        raise UsageError(f"--device {device}: must be cpu or cuda")
+    console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
+    identity = None if input is None else identify(input)
+    session = pipeline.Session(
+        folder=RunFolder.locate(run, None if identity is None else identity.name),
+        input=identity,
+        seed=seed,
+        threads=threads or pipeline.available_threads(),
+        device=device,
+        force=force,
+        touch=touch,
+        verify=verify,
+        progress=console,
+    )
+    return Common(console, session, dry_run, read_config(config, pipeline.ORDER))
+
+
+def _taken(template: Function, given: dict[str, Any]) -> Any:
+    """Call ``template`` with its parameters, taken out of ``given``."""
+    return template(**{name: given.pop(name) for name in inspect.signature(template).parameters})
+
+
+def _until(
+    until: Annotated[str, typer.Option(help="The last stage to run.")] = "fabricate",
+) -> str:
+    if until not in pipeline.ORDER:
+        raise UsageError(f"--until {until}: must be one of {', '.join(pipeline.ORDER)}")
+    return until
+
+
+def _strict(
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 5 if a gate does not hold.")
+    ] = False,
+) -> bool:
+    return strict
+
+
+def guarded(function: Function) -> Function:
+    """Errors become one sentence on stderr and the exit code of their kind."""
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return function(*args, **kwargs)
+        except VorolightError as error:
+            if kwargs.get("verbose"):
+                raise
+            print(f"vorolight: {error}", file=sys.stderr)
+            raise typer.Exit(error.exit_code) from None
+        except (typer.Exit, KeyboardInterrupt):
+            raise
+        # Whatever else arrives here is a fault of ours; the user still gets one sentence.
+        except Exception as error:
+            if kwargs.get("verbose"):
+                raise
+            kind = type(error).__name__
+            print(
+                f"vorolight: internal error ({kind}: {error}); run again with -v and report it",
+                file=sys.stderr,
+            )
+            raise typer.Exit(1) from None
+
+    return wrapper
+
+
+def _execute(common: Common, name: str, params: Any) -> bool:
+    """Run one stage or say what would run; True if it ran or would run."""
+    console, session = common.console, common.session
+    if common.dry_run:
+        pipeline.check_same_input(session.folder, session.input)
+        found = pipeline.state(session, name, params)
+        reason = "forced" if session.force and found.done else found.reason
+        console.say(f"{name}: " + ("up to date" if reason is None else f"would run ({reason})"))
+        console.data({"stage": name, "would_run": reason is not None, "reason": reason})
+        return reason is not None
+    result = pipeline.execute(session, name, params)
+    if result.ran:
+        for warning in result.manifest["warnings"]:
+            console.warn(f"{name}: {warning}")
+        console.say(summary.of(result.manifest, console))
+    else:
+        console.say(f"{name}: up to date")
+    console.data(result.manifest)
+    return result.ran
+
+
+def _stage_command(name: str) -> None:
+    stage = pipeline.get(name)
+    served = [pipeline.get("classify"), stage] if name == "init" else [stage]
+    names = parameter_names(served)
+    templates = [_common, _strict] if name == "evaluate" else [_common]
+
+    def command(**given: Any) -> None:
+        strict = name == "evaluate" and _taken(_strict, given)
+        common = _taken(_common, given)
+        if name == "init" and _classify_first(common, given, names["classify"]):
+            return
+        params = build(stage, given, common.config, names[name])
+        _execute(common, name, params)
+        if strict and not common.dry_run:
+            _gates(common.session, params)
+
+    command.__doc__ = _help(stage)
+    app.command(name)(guarded(add_options(command, templates, served)))
+
+
+def _help(stage: Stage) -> str:
+    """The first paragraph of the stage's module, and an example."""
+    module = sys.modules[stage.run.__module__]
+    about = (module.__doc__ or "").split("\n\n")[0].partition(": ")[2]
+    return f"{about[0].upper()}{about[1:]}\n\nExample: {EXAMPLES[stage.name]}"
+
+
+def _gates(session: pipeline.Session, params: Any) -> None:
+    from vorolight.stages.evaluate import STAGE, failed_gates
+
+    stored = session.folder.manifest(STAGE.stem_of(params)) or {}
+    failed = failed_gates(stored["metrics"])
+    if failed:
+        raise GateFailure(f"{session.folder.path}: the {params.of} surface is not {failed[0]}")
+
+
+def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]) -> bool:
+    """Bring classify up to date; what is not said again stays as recorded. True after a dry run
+    in which classify would run, and init therefore too."""
+    session = common.session
+    stage = pipeline.get("classify")
+    stored = session.folder.manifest("classify")
+    recorded = stored["params"] if stored else None
+    params = build(stage, given, common.config, names, recorded)
+    unforced = replace(common, session=replace(session, force=False))
+    ran = _execute(unforced, "classify", params)
+    if common.dry_run and ran:
+        common.console.say("init: would run (classify changed)")
+        common.console.data({"stage": "init", "would_run": True, "reason": "classify changed"})
+        return True
+    return False
+
+
+def _run_command() -> None:
+    stages = [pipeline.get(name) for name in pipeline.ORDER]
+    names = parameter_names(stages)
+
+    def command(**given: Any) -> None:
+        """Run all stages, from INPUT to the printable object, and write the report.
+
+        Example: vorolight run bunny.obj -n 25 --lamp
+        """
+        until = _taken(_until, given)
+        common = _taken(_common, given)
+        planned = {
+            stage.name: build(stage, given, common.config, names[stage.name]) for stage in stages
+        }
+        first: str | None = None
+        for stage in stages[: pipeline.ORDER.index(until) + 1]:
+            if first is not None:
+                common.console.say(f"{stage.name}: would run ({first} changed)")
+                common.console.data(
+                    {"stage": stage.name, "would_run": True, "reason": f"{first} changed"}
+                )
+                continue
+            ran = _execute(common, stage.name, planned[stage.name])
+            # What nothing else reads makes nothing else stale.
+            if common.dry_run and ran and stage.name not in ("volume", "evaluate"):
+                first = stage.name
+        if not common.dry_run:
+            _write_report(common.session.folder, common.console)
+
+    app.command("run")(guarded(add_options(command, [_common, _until], stages)))
+
+
+def _write_report(folder: RunFolder, console: Console) -> None:
+    from vorolight.stages.report import page
+
+    console.say(f"report: {page.write(folder)}")
+
+
+@app.command()
+@guarded
+def report(run: Run = None, quiet: Quiet = False, verbose: Verbose = False) -> None:
+    """Write report.html: what was measured, with pictures, from whatever stages are done."""
+    _write_report(RunFolder.locate(run, None), Console(0 if quiet else 1, False, False))
+
+
+@app.command()
+@guarded
+def status(
+    input: Input = None, run: Run = None, json: Json = False, verify: Verify = False,
+    verbose: Verbose = False,
+) -> None:  # fmt: skip
+    """Say for each stage whether it is done, or why it would run again."""
+    from vorolight.stages.sources.resolve import identify
+
+    identity = None if input is None else identify(input)
+    folder = RunFolder.locate(run, None if identity is None else identity.name)
+    session = pipeline.Session(folder=folder, input=identity, verify=verify)
+    console = Console(1, json, True)
+    rows = [("stage", "state", "why", "seconds")]
+    for found in pipeline.overall(session):
+        took = found.manifest["volatile"]["wall_seconds"] if found.manifest else None
+        state = "done" if found.done else "to do" if found.manifest is None else "stale"
+        stem = found.stage.stem_of(found.params)
+        why = "" if found.done or found.manifest is None else found.reason or ""
+        rows.append((stem, state, why, "" if took is None else f"{took:.1f}"))
+        console.data({"stage": stem, "state": state, "reason": found.reason, "seconds": took})
+    console.say(f"{folder.path}\n{table(rows)}")
+
+
+@app.command()
+@guarded
+def sample(
+    name: Annotated[str, typer.Argument(help="airplane, bone, bunny, cow or cube.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a sample mesh to the current folder."""
+    from vorolight.stages.artifacts import atomic
+    from vorolight.stages.sources.samples import sample as find
+
+    source = find(name)
+    target, data = Path(source.name), source.read_bytes()
+    if target.exists() and target.read_bytes() != data and not force:
+        raise UsageError(f"{target}: is there and is another file; rename it, or use --force")
+    atomic.write(target, data)
+    print(target)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"vorolight {pipeline.tool_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def top(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _build() -> None:
+    for name in pipeline.ORDER:
+        _stage_command(name)
+    _run_command()
+
+
+_build()
+
+
+def _stop(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGINT, _stop)
+    app()

@@ -1,0 +1,135 @@
+"""From Params dataclasses to command-line options and back; nothing is declared twice."""
+
+from __future__ import annotations
+
+import inspect
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
+
+import typer
+
+from vorolight.stages.contract import Option, Params, Stage, options
+from vorolight.stages.errors import UsageError
+
+Function = Callable[..., Any]
+
+
+def parameter_names(stages: Sequence[Stage]) -> dict[str, dict[str, str]]:
+    """For each stage the name of each of its options on a command line that serves ``stages``.
+
+    An option that several of them have gets its stage's name in front.
+    """
+    uses: dict[str, int] = {}
+    for stage in stages:
+        for option in options(stage.params):
+            uses[option.name] = uses.get(option.name, 0) + 1
+    return {
+        stage.name: {
+            option.name: option.name
+            if uses[option.name] == 1
+            else f"{stage.name.replace('-', '_')}_{option.name}"
+            for option in options(stage.params)
+        }
+        for stage in stages
+    }
+
+
+def _annotation(option: Option, name: str, group: str) -> Any:
+    flag = "--" + name.replace("_", "-")
+    if option.type is bool:
+        flags = [f"{flag}/--no-{flag[2:]}"]
+    else:
+        flags = [flag] + ([option.short] if option.short and name == option.name else [])
+    shown: Any = option.default
+    if option.default is None or option.type is bool:
+        shown = "no" if option.default is False else "yes" if option.default else False
+    else:
+        shown = f"{option.default:g}" if option.type is float else str(option.default)
+    meaning = option.meaning
+    if get_origin(option.type) is not None:
+        meaning += f" [{'|'.join(get_args(option.type))}]"
+    elif option.limits is not None:
+        meaning += f" ({option.limits})"
+    # Choices and limits are checked by the Params, so that every way in gives the same sentence.
+    plain = option.type if option.type in (int, float, bool) else str
+    return Annotated[
+        plain | None,
+        typer.Option(
+            *flags, help=meaning, show_default=shown, rich_help_panel=f"Options of {group}"
+        ),
+    ]
+
+
+def add_options(
+    function: Function, templates: Sequence[Function], stages: Sequence[Stage]
+) -> Function:
+    """``function(**given)`` with the parameters of ``templates`` and the options of ``stages``.
+
+    A stage option that was not given arrives as None.
+    """
+    parameters, hints = [], {}
+    for template in templates:
+        hints |= inspect.get_annotations(template, eval_str=True)
+        parameters += list(inspect.signature(template).parameters.values())
+    names = parameter_names(stages)
+    for stage in stages:
+        for option in options(stage.params):
+            name = names[stage.name][option.name]
+            hints[name] = _annotation(option, name, stage.name)
+            parameters.append(
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
+            )
+    hints.pop("return", None)
+    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            p.replace(annotation=hints[p.name], kind=inspect.Parameter.KEYWORD_ONLY)
+            for p in parameters
+        ]
+    )
+    function.__annotations__ = hints
+    return function
+
+
+def read_config(path: Path | None, stages: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Options by stage from a TOML file with one table per stage.
+
+    Raises UsageError when it is not readable or names something unknown.
+    """
+    if path is None:
+        return {}
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"{path}: not a readable TOML file ({error}); correct it") from error
+    for name, values in content.items():
+        if name not in stages or not isinstance(values, dict):
+            raise UsageError(
+                f"{path}: [{name}] is no stage; tables are {', '.join(f'[{s}]' for s in stages)}"
+            )
+    return content
+
+
+def build(
+    stage: Stage,
+    given: dict[str, Any],
+    config: dict[str, dict[str, Any]],
+    names: dict[str, str],
+    recorded: dict[str, Any] | None = None,
+) -> Params:
+    """A stage's Params: the command line over the config file over what was recorded over defaults.
+
+    Raises UsageError for values that do not fit.
+    """
+    known = {option.name: option for option in options(stage.params)}
+    values = {key: value for key, value in (recorded or {}).items() if key in known}
+    for key, value in config.get(stage.name, {}).items():
+        name = key.replace("-", "_")
+        if name not in known:
+            raise UsageError(f"[{stage.name}] {key}: no such option; see vorolight {stage.name} -h")
+        values[name] = value
+    for name in known:
+        if given.get(names[name]) is not None:
+            values[name] = given[names[name]]
+    return stage.params(**values)

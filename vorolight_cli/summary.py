@@ -1,0 +1,98 @@
+"""A finished stage in a few lines on the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .console import Console, table
+
+
+def _number(value: float | None) -> str:
+    return "not run" if value is None else f"{value:.4g}"
+
+
+def _surface(topology: dict[str, Any]) -> str:
+    closed = "closed" if topology["bad_edges"] == 0 else f"{topology['bad_edges']} bad edges"
+    parts = topology["components"]
+    return (
+        f"{topology['faces']} faces, {closed}, Euler number {topology['euler_number']}, "
+        f"{parts} component{'s' if parts != 1 else ''}"
+    )
+
+
+def of(manifest: dict[str, Any], console: Console) -> str:
+    """One line for a stage, a table for an evaluation."""
+    stage, metrics = manifest["stage"], manifest["metrics"]
+    seconds = f"{manifest['volatile']['wall_seconds']:.1f} s"
+    text = {
+        "classify": lambda: (
+            f"{metrics['interior_voxels']} interior voxels of edge {metrics['spacing']:.4g}"
+        ),
+        "init": lambda: f"{metrics['generators']} generators, {_surface(metrics['topology'])}",
+        "sphere-train": lambda: (
+            f"{metrics['trained_faces']} trained faces; surface: {_surface(metrics['topology'])}; "
+            f"{100 * metrics['conformity']['pair_area_share']:.2f} % of its area between pairs"
+        ),
+        "volume": lambda: (
+            f"{metrics['cells']} cells, {metrics['open_cells']} open, surface unchanged, "
+            f"volume {metrics['cell_volume_sum']:.6g}"
+        ),
+        "evaluate": lambda: f"surface of {metrics['of']}",
+        "fabricate": lambda: (
+            f"{metrics['tubes']} tubes, {metrics['plates']} plates, "
+            f"{metrics['as_written']['size_mm'][2]:.1f} mm high, re-read: watertight, "
+            f"{metrics['as_written']['bodies']} body"
+        ),
+    }[stage]()
+    line = f"{console.strong(stage)}: {text} ({seconds})"
+    return line if stage != "evaluate" else f"{line}\n{evaluation_table(metrics)}"
+
+
+def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Name, value and reference of every figure of an evaluation."""
+    distances, truth = metrics["chamfer"], metrics["reference_curvature"] or {}
+    bent = metrics["curvature"] or {}
+    topology = metrics["topology"]
+    rows: list[tuple[str, ...]] = [
+        ("figure", "surface", "reference"),
+        ("CD^2 x 1e3", _number(distances["cd2"] * 1e3),
+         f"sampling floor {distances['sampling_floor'] * 1e3:.4g}"),
+        (f"F1@{metrics['protocol']['threshold']:g}", _number(distances["f1"]), "1"),
+    ]  # fmt: skip
+    for key, name in (("mean", "mean |H|"), ("std", "std |H|"), ("median", "median |H|"),
+                      ("p95", "P95 |H|"), ("valid_share", "valid share of |H|")):  # fmt: skip
+        shown = "" if truth.get(key) is None else _number(truth[key])
+        rows.append((name, _number(bent.get(key)), shown))
+    if metrics["sdf_loss"] is not None:
+        rows.append(("mean |F|", _number(metrics["sdf_loss"]), "0"))
+    rows += [
+        ("faces", str(topology["faces"]), ""),
+        ("Euler number", str(topology["euler_number"]), ""),
+        ("components", str(topology["components"]), ""),
+        ("edges not in two faces", str(topology["bad_edges"]), "0"),
+        ("pinched vertices", str(topology["pinched_vertices"]), "0"),
+        ("self-intersection", str(metrics["gates"]["self_intersection"]), ""),
+    ]
+    if "conformity" in metrics:
+        conformity, trained = metrics["conformity"], metrics["trained"]
+        faces = f"{conformity['interface_faces']} / {conformity['trained_faces']}"
+        rows += [
+            ("pair area share", _number(conformity["pair_area_share"]), "1"),
+            ("interface faces / trained", faces, "equal"),
+            ("sphere residual, rms in h^2", _number(conformity["residual_rms"]), "0"),
+            ("deepest intrusion in h^2", _number(conformity["intrusion"]), "0"),
+        ]
+        bent = trained["curvature"] or {}
+        rows.append(("mean |H|, trained polygons", _number(bent.get("mean")), ""))
+        if trained["sdf_loss"] is not None:
+            rows.append(("mean |F|, trained polygons", _number(trained["sdf_loss"]), "0"))
+    return rows
+
+
+def evaluation_table(metrics: dict[str, Any]) -> str:
+    protocol = metrics["protocol"]
+    frame = (
+        f"protocol {protocol['name']}: {protocol['samples']} samples, {protocol['frame']} "
+        f"({protocol['diagonal']:.4g})"
+    )
+    return f"{table(evaluation_rows(metrics))}\n{frame}"
