@@ -1,4 +1,4 @@
-"""Write the manifest schema of every stage from its Params: ``python -m vorolight.schemas.build``."""
+"""Write the manifest schemas from the stages' Params: ``python -m vorolight.schemas.build``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vorolight import schemas
 
 def stage_schema(name: str) -> dict[str, Any]:
     """The schema of the manifests of stage ``name``: the common part and its parameters."""
-    from vorolight.stages import pipeline
+    from vorolight.stages import standing
     from vorolight.stages.contract import params_schema
 
     return {
@@ -22,7 +22,7 @@ def stage_schema(name: str) -> dict[str, Any]:
         "properties": {
             "schema": {"const": schemas.identifier(name)},
             "stage": {"const": name},
-            "params": params_schema(pipeline.get(name).params),
+            "params": params_schema(standing.get(name).params),
         },
     }
 
@@ -32,9 +32,9 @@ def encode(schema: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    from vorolight.stages import pipeline
+    from vorolight.stages import standing
 
-    for name in pipeline.ORDER:
+    for name in standing.ORDER:
         path = Path(__file__).parent / f"{name}.json"
         path.write_text(encode(stage_schema(name)), encoding="utf-8")
         print(path.name)

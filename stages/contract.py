@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args, get_origin
 from typing import get_type_hints as _type_hints
@@ -111,16 +112,24 @@ def _module_tree(name: str) -> ast.Module:
     return ast.parse(Path(str(sys.modules[name].__file__)).read_text(encoding="utf-8"))
 
 
-@cache
 def options(params: type[Params]) -> tuple[Option, ...]:
     """The options of a Params dataclass, read from its annotations and field docstrings."""
+    if params not in _OPTIONS:
+        _OPTIONS[params] = _read_options(params)
+    return _OPTIONS[params]
+
+
+_OPTIONS: dict[type[Params], tuple[Option, ...]] = {}
+
+
+def _read_options(params: type[Params]) -> tuple[Option, ...]:
     body = next(
         node.body
         for node in _module_tree(params.__module__).body
         if isinstance(node, ast.ClassDef) and node.name == params.__name__
     )
     meanings: dict[str, str] = {}
-    for node, following in zip(body, body[1:], strict=False):
+    for node, following in pairwise(body):
         if isinstance(node, ast.AnnAssign) and isinstance(following, ast.Expr):
             meanings[ast.unparse(node.target)] = " ".join(
                 str(ast.literal_eval(following.value)).split()
@@ -128,12 +137,13 @@ def options(params: type[Params]) -> tuple[Option, ...]:
     hints = _type_hints(params, include_extras=True)
     found = []
     for item in dataclasses.fields(params):  # type: ignore[arg-type]
-        kind, extras = hints[item.name], ()
+        kind: Any = hints[item.name]
+        extras: list[Any] = []
         optional = type(None) in get_args(kind)
         if optional:
             kind = next(part for part in get_args(kind) if part is not type(None))
         if get_origin(kind) is Annotated:
-            kind, *extras = get_args(kind)  # type: ignore[assignment]
+            kind, *extras = get_args(kind)
         limits = next((extra for extra in extras if isinstance(extra, Range)), None)
         short = next((extra.flag for extra in extras if isinstance(extra, Short)), None)
         found.append(
@@ -210,7 +220,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage leaves: arrays for its HDF5 file, other files by suffix, and what it measured."""
+    """What a stage leaves: arrays for its HDF5 file, other files by suffix, what it measured."""
 
     arrays: dict[str, Any]
     files: dict[str, bytes] = field(default_factory=dict)

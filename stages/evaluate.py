@@ -45,7 +45,9 @@ def run(context: Context) -> Outcome:
 
     params, threads = context.params, context.threads
     mesh = _surface(context, params.of)
-    source = context.source() if params.reference is None else MeshSource(Path(params.reference))
+    source: Any = (
+        context.source() if params.reference is None else MeshSource(Path(params.reference))
+    )
     context.progress.start("evaluate", 4)
     vertices, triangles, _ = geometry.fan_triangles(mesh)
     random = context.random
@@ -100,9 +102,7 @@ def run(context: Context) -> Outcome:
     bend = np.where(valid, np.abs(measured), np.nan)[: mesh.vertex_count]
     return Outcome(
         arrays={
-            "surface/vertices": mesh.vertices,
-            "surface/face_offsets": mesh.face_offsets,
-            "surface/face_vertices": mesh.face_vertices,
+            **mesh.as_arrays("surface/"),
             "vertex_distance": distance,
             "mean_curvature": bend,
         },
@@ -119,10 +119,7 @@ def _surface(context: Context, of: str) -> PolygonMesh:
     from .surface.polygons import PolygonMesh
 
     arrays = context.arrays(of)
-    prefix = "" if of == "volume" else "surface/"
-    mesh = PolygonMesh(
-        *(arrays[prefix + part] for part in ("vertices", "face_offsets", "face_vertices"))
-    )
+    mesh = PolygonMesh.from_arrays(arrays, "" if of == "volume" else "surface/")
     if of == "volume":
         mesh = mesh.select_faces(arrays["face_neighbour"] < 0).without_unused_vertices()
     return mesh
@@ -154,17 +151,15 @@ def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
 
     from .metrics import curvature
     from .surface import geometry
+    from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .surface.topology import topology
     from .voronoi.conformity import conformity
     from .voronoi.interface import interface
 
     arrays = context.arrays("sphere-train")
-    grid = context.arrays("classify")
-    origin, spacing = grid["origin"], float(grid["spacing"])
-    mesh = PolygonMesh(
-        *(arrays[f"trained/{part}"] for part in ("vertices", "face_offsets", "face_vertices"))
-    )
+    frame = ModelFrame.of(context.arrays("classify"))
+    mesh = PolygonMesh.from_arrays(arrays, "trained/")
     vertices, triangles, _ = geometry.fan_triangles(mesh)
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, context.threads)
     bent = curvature.statistics(vertices, triangles, radius, measured, valid)
@@ -176,14 +171,14 @@ def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
         loss = float(np.abs(field.value(points)).mean())
     count = mesh.face_count
     inside, outside = (
-        (arrays[f"generators/{side}"] - origin) / spacing for side in ("inside", "outside")
+        frame.model_from_input(arrays[f"generators/{side}"]) for side in ("inside", "outside")
     )
     raw = interface(np.concatenate([inside, outside]), np.arange(2 * count) < count)
     agreement = conformity(
         raw,
         np.arange(2 * count) % count,
-        mesh.with_vertices((mesh.vertices - origin) / spacing),
-        arrays["spheres/radius"] / spacing,
+        mesh.with_vertices(frame.model_from_input(mesh.vertices)),
+        arrays["spheres/radius"] / frame.spacing,
         inside,
         outside,
         1.0,
@@ -214,9 +209,11 @@ STAGE = Stage(
     version=1,
     params=Params,
     run=run,
-    parents=lambda params: tuple(dict.fromkeys(("classify", "sphere-train", params.of)))
-    if params.of != "init"
-    else ("classify", "init"),
+    parents=lambda params: (
+        tuple(dict.fromkeys(("classify", "sphere-train", params.of)))
+        if params.of != "init"
+        else ("classify", "init")
+    ),
     reads_input=True,
     stem=lambda params: f"evaluate-{params.of}",
     extra_inputs=_extra,

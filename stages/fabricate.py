@@ -14,9 +14,6 @@ from typing import Annotated, Any, Literal
 from . import contract
 from .contract import Context, Outcome, Range, Share, Stage
 
-Y_UP = (".obj", ".ply", ".off", ".glb", ".gltf")
-"""Formats whose files mostly have y up; the rest, and the built-in fields, have z up."""
-
 
 @dataclass(frozen=True)
 class Params(contract.Params):
@@ -61,10 +58,11 @@ def run(context: Context) -> Outcome:
     from .errors import NumericalFailure, UsageError
     from .export import ply, stl
     from .fabrication import assembly, lamp, plates, tubes
+    from .sources.resolve import up_axis
     from .surface.polygons import PolygonMesh
 
     params = context.params
-    diameter = 3 * params.nozzle if params.tube_diameter is None else params.tube_diameter
+    diameter = round(3 * params.nozzle, 6) if params.tube_diameter is None else params.tube_diameter
     if diameter < 2 * params.nozzle:
         raise UsageError(
             f"--tube-diameter {diameter:g}: thinner than two nozzles ({2 * params.nozzle:g} mm); "
@@ -81,13 +79,10 @@ def run(context: Context) -> Outcome:
         )
     trained = context.arrays("sphere-train")
     polygons, surface = (
-        PolygonMesh(*(trained[f"{name}/{part}"] for part in
-                      ("vertices", "face_offsets", "face_vertices")))
-        for name in ("trained", "surface")
-    )  # fmt: skip
+        PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
+    )
     recorded = context.folder.manifest("classify") or {}
-    origin = Path(recorded["inputs"][0]["path"] or "")
-    up = params.up if params.up != "auto" else "y" if origin.suffix.lower() in Y_UP else "z"
+    up = params.up if params.up != "auto" else up_axis(recorded["inputs"][0]["path"])
     trim = params.trim if params.lamp else 0.0
     matrix = lamp.mm_from_input(polygons.vertices, up, params.height, trim, diameter / 2)
     turn, shift = matrix[:3, :3], matrix[:3, 3]

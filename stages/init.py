@@ -41,9 +41,11 @@ def run(context: Context) -> Outcome:
 
     from .export import ply
     from .losses import regularization, shape
+    from .metrics import watertight
     from .optimize.loop import Schedule, adam
     from .sources.voxels import VoxelGrid
     from .surface.frames import Connectivity, face_frames
+    from .surface.model_frame import ModelFrame
     from .surface.topology import topology
     from .voronoi.cleanup import clean
     from .voronoi.delaunay import delaunay
@@ -58,7 +60,7 @@ def run(context: Context) -> Outcome:
     grid = VoxelGrid(
         stored["origin"], float(stored["spacing"]), stored["interior"], stored["exterior"]
     )
-    frame = shape.ModelFrame(grid.origin, grid.spacing)
+    frame = ModelFrame.of(stored)
     start, inside = reflect(grid)
     generators = torch.tensor(frame.model_from_input(start), device=context.device)
     generators.requires_grad_(True)
@@ -104,9 +106,7 @@ def run(context: Context) -> Outcome:
             "generator_inside": inside,
             "spacing": np.full(len(trained), grid.spacing),
             "history": history,
-            "surface/vertices": mesh.vertices,
-            "surface/face_offsets": mesh.face_offsets,
-            "surface/face_vertices": mesh.face_vertices,
+            **mesh.as_arrays("surface/"),
             "surface/face_generators": surface.generators,
         },
         files={"ply": ply.encode(mesh)},
@@ -122,6 +122,7 @@ def run(context: Context) -> Outcome:
             else {},
         },
         warnings=warnings,
+        recheck=watertight.as_written,
     )
 
 

@@ -50,9 +50,11 @@ def run(context: Context) -> Outcome:
 
     from .export import ply
     from .losses import regularization, shape, sphere
+    from .metrics import watertight
     from .optimize.loop import Schedule, adam
     from .surface.frames import Connectivity, face_frames
     from .surface.geometry import face_frames as numpy_frames
+    from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .surface.spheres import initial_spheres, near_pairs
     from .surface.topology import topology
@@ -63,13 +65,9 @@ def run(context: Context) -> Outcome:
 
     torch.set_num_threads(context.threads)
     params = context.params
-    grid, start = context.arrays("classify"), context.arrays("init")
-    frame = shape.ModelFrame(grid["origin"], float(grid["spacing"]))
-    mesh = PolygonMesh(
-        frame.model_from_input(start["surface/vertices"]),
-        start["surface/face_offsets"],
-        start["surface/face_vertices"],
-    )
+    frame = ModelFrame.of(context.arrays("classify"))
+    mesh = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
+    mesh = mesh.with_vertices(frame.model_from_input(mesh.vertices))
     first_radii, first_offsets = initial_spheres(mesh)
     parameters = {
         name: torch.tensor(values, device=context.device).requires_grad_(True)
@@ -91,16 +89,18 @@ def run(context: Context) -> Outcome:
         if iteration % NEIGHBOURS_EVERY == 0 or not near:
             found = near_pairs(
                 mesh,
-                *(t.detach().cpu().numpy() for t in (points, centres, radii)),
-                slack=NEIGHBOUR_SLACK,
-                threads=context.threads,
+                points.detach().cpu().numpy(),
+                centres.detach().cpu().numpy(),
+                radii.detach().cpu().numpy(),
+                NEIGHBOUR_SLACK,
+                context.threads,
             )
             near[:] = [torch.as_tensor(index, device=context.device) for index in found]
         return {
             "intersection": sphere.intersection(
                 outer, inner, centres, radii, connectivity.corner_faces, connectivity.corners
             ),
-            "exclusion": sphere.exclusion(points, centres, radii, *near),
+            "exclusion": sphere.exclusion(points, centres, radii, near[0], near[1]),
             "shape": shape_loss(
                 shape.surface_samples(centres, frames), iteration % CORRESPONDENCES_EVERY == 0
             ),
@@ -153,17 +153,13 @@ def run(context: Context) -> Outcome:
         arrays={
             "spheres/center": frame.input_from_model(trained_centres),
             "spheres/radius": frame.spacing * trained_radii,
-            "trained/vertices": frame.input_from_model(trained_centres),
-            "trained/face_offsets": trained.face_offsets,
-            "trained/face_vertices": trained.face_vertices,
+            **trained.with_vertices(frame.input_from_model(trained_centres)).as_arrays("trained/"),
             "trained/offset": frame.spacing * trained_offsets,
             "generators/inside": frame.input_from_model(pairs.inside),
             "generators/outside": frame.input_from_model(pairs.outside),
             "spacing": np.full(count, frame.spacing),
             "history": history,
-            "surface/vertices": surface.vertices,
-            "surface/face_offsets": surface.face_offsets,
-            "surface/face_vertices": surface.face_vertices,
+            **surface.as_arrays("surface/"),
             "surface/face_generators": owner[final.generators],
         },
         files={"ply": ply.encode(surface)},
@@ -186,6 +182,7 @@ def run(context: Context) -> Outcome:
             "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
         },
         warnings=warnings,
+        recheck=watertight.as_written,
     )
 
 

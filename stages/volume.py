@@ -32,8 +32,8 @@ def run(context: Context) -> Outcome:
 
     from .errors import NumericalFailure
     from .export import vtu
-    from .losses.shape import ModelFrame
     from .surface.geometry import enclosed_volume, face_frames, fan_triangles
+    from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .voronoi.cells import open_cells, polyhedral_mesh
     from .voronoi.delaunay import delaunay
@@ -42,8 +42,8 @@ def run(context: Context) -> Outcome:
     from .voronoi.unchanged import same_surface
 
     params = context.params
-    grid, trained = context.arrays("classify"), context.arrays("sphere-train")
-    frame = ModelFrame(grid["origin"], float(grid["spacing"]))
+    trained = context.arrays("sphere-train")
+    frame = ModelFrame.of(context.arrays("classify"))
     within = frame.model_from_input(trained["generators/inside"])
     without = frame.model_from_input(trained["generators/outside"])
     boundary = np.concatenate([within, without])
@@ -83,11 +83,8 @@ def run(context: Context) -> Outcome:
     mesh = polyhedral_mesh(generators, inside, diagram)
     unclosed = open_cells(mesh)
     volume = float(mesh.cell_volume.sum())
-    surface = PolygonMesh(
-        frame.model_from_input(trained["surface/vertices"]),
-        trained["surface/face_offsets"],
-        trained["surface/face_vertices"],
-    )
+    surface = PolygonMesh.from_arrays(trained, "surface/")
+    surface = surface.with_vertices(frame.model_from_input(surface.vertices))
     enclosed = enclosed_volume(*fan_triangles(surface)[:2])
     role = np.where(inside, 1, 0)
     role[: len(points)] = 2
@@ -106,9 +103,7 @@ def run(context: Context) -> Outcome:
         arrays={
             "generators": frame.input_from_model(generators),
             "generator_role": role,
-            "vertices": placed.vertices,
-            "face_offsets": placed.face_offsets,
-            "face_vertices": placed.face_vertices,
+            **placed.as_arrays(),
             "face_owner": mesh.owner,
             "face_neighbour": mesh.neighbour,
             "cell_generator": mesh.cell_generator,

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from vorolight.stages import pipeline
+from vorolight.stages import pipeline, standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import GateFailure, UsageError, VorolightError
@@ -72,7 +72,7 @@ class Common:
     """The options every stage command has."""
 
     console: Console
-    session: pipeline.Session
+    session: standing.Session
     dry_run: bool
     config: dict[str, dict[str, Any]]
 
@@ -100,18 +100,18 @@ def _common(
         raise UsageError(f"--device {device}: must be cpu or cuda")
     console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
     identity = None if input is None else identify(input)
-    session = pipeline.Session(
+    session = standing.Session(
         folder=RunFolder.locate(run, None if identity is None else identity.name),
         input=identity,
         seed=seed,
-        threads=threads or pipeline.available_threads(),
+        threads=threads or standing.available_threads(),
         device=device,
         force=force,
         touch=touch,
         verify=verify,
         progress=console,
     )
-    return Common(console, session, dry_run, read_config(config, pipeline.ORDER))
+    return Common(console, session, dry_run, read_config(config, standing.ORDER))
 
 
 def _taken(template: Function, given: dict[str, Any]) -> Any:
@@ -122,8 +122,8 @@ def _taken(template: Function, given: dict[str, Any]) -> Any:
 def _until(
     until: Annotated[str, typer.Option(help="The last stage to run.")] = "fabricate",
 ) -> str:
-    if until not in pipeline.ORDER:
-        raise UsageError(f"--until {until}: must be one of {', '.join(pipeline.ORDER)}")
+    if until not in standing.ORDER:
+        raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
     return until
 
 
@@ -167,8 +167,8 @@ def _execute(common: Common, name: str, params: Any) -> bool:
     """Run one stage or say what would run; True if it ran or would run."""
     console, session = common.console, common.session
     if common.dry_run:
-        pipeline.check_same_input(session.folder, session.input)
-        found = pipeline.state(session, name, params)
+        standing.check_same_input(session.folder, session.input)
+        found = standing.state(session, name, params)
         reason = "forced" if session.force and found.done else found.reason
         console.say(f"{name}: " + ("up to date" if reason is None else f"would run ({reason})"))
         console.data({"stage": name, "would_run": reason is not None, "reason": reason})
@@ -185,10 +185,10 @@ def _execute(common: Common, name: str, params: Any) -> bool:
 
 
 def _stage_command(name: str) -> None:
-    stage = pipeline.get(name)
-    served = [pipeline.get("classify"), stage] if name == "init" else [stage]
+    stage = standing.get(name)
+    served = [standing.get("classify"), stage] if name == "init" else [stage]
     names = parameter_names(served)
-    templates = [_common, _strict] if name == "evaluate" else [_common]
+    templates: list[Function] = [_common, _strict] if name == "evaluate" else [_common]
 
     def command(**given: Any) -> None:
         strict = name == "evaluate" and _taken(_strict, given)
@@ -211,7 +211,7 @@ def _help(stage: Stage) -> str:
     return f"{about[0].upper()}{about[1:]}\n\nExample: {EXAMPLES[stage.name]}"
 
 
-def _gates(session: pipeline.Session, params: Any) -> None:
+def _gates(session: standing.Session, params: Any) -> None:
     from vorolight.stages.evaluate import STAGE, failed_gates
 
     stored = session.folder.manifest(STAGE.stem_of(params)) or {}
@@ -224,7 +224,7 @@ def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]
     """Bring classify up to date; what is not said again stays as recorded. True after a dry run
     in which classify would run, and init therefore too."""
     session = common.session
-    stage = pipeline.get("classify")
+    stage = standing.get("classify")
     stored = session.folder.manifest("classify")
     recorded = stored["params"] if stored else None
     params = build(stage, given, common.config, names, recorded)
@@ -238,7 +238,7 @@ def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]
 
 
 def _run_command() -> None:
-    stages = [pipeline.get(name) for name in pipeline.ORDER]
+    stages = [standing.get(name) for name in standing.ORDER]
     names = parameter_names(stages)
 
     def command(**given: Any) -> None:
@@ -252,7 +252,7 @@ def _run_command() -> None:
             stage.name: build(stage, given, common.config, names[stage.name]) for stage in stages
         }
         first: str | None = None
-        for stage in stages[: pipeline.ORDER.index(until) + 1]:
+        for stage in stages[: standing.ORDER.index(until) + 1]:
             if first is not None:
                 common.console.say(f"{stage.name}: would run ({first} changed)")
                 common.console.data(
@@ -269,17 +269,24 @@ def _run_command() -> None:
     app.command("run")(guarded(add_options(command, [_common, _until], stages)))
 
 
-def _write_report(folder: RunFolder, console: Console) -> None:
+def _write_report(folder: RunFolder, console: Console, pictures: Path | None = None) -> None:
     from vorolight.stages.report import page
 
-    console.say(f"report: {page.write(folder)}")
+    console.say(f"report: {page.write(folder, pictures)}")
 
 
 @app.command()
 @guarded
-def report(run: Run = None, quiet: Quiet = False, verbose: Verbose = False) -> None:
+def report(
+    run: Run = None,
+    pictures: Annotated[
+        Path | None, typer.Option("--pictures", help="A folder to write the pictures to as PNG.")
+    ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
     """Write report.html: what was measured, with pictures, from whatever stages are done."""
-    _write_report(RunFolder.locate(run, None), Console(0 if quiet else 1, False, False))
+    _write_report(RunFolder.locate(run, None), Console(0 if quiet else 1, False, False), pictures)
 
 
 @app.command()
@@ -293,10 +300,10 @@ def status(
 
     identity = None if input is None else identify(input)
     folder = RunFolder.locate(run, None if identity is None else identity.name)
-    session = pipeline.Session(folder=folder, input=identity, verify=verify)
+    session = standing.Session(folder=folder, input=identity, verify=verify)
     console = Console(1, json, True)
     rows = [("stage", "state", "why", "seconds")]
-    for found in pipeline.overall(session):
+    for found in standing.overall(session):
         took = found.manifest["volatile"]["wall_seconds"] if found.manifest else None
         state = "done" if found.done else "to do" if found.manifest is None else "stale"
         stem = found.stage.stem_of(found.params)
@@ -341,7 +348,7 @@ def top(
 
 
 def _build() -> None:
-    for name in pipeline.ORDER:
+    for name in standing.ORDER:
         _stage_command(name)
     _run_command()
 

@@ -6,13 +6,14 @@ import json
 import os
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any, TextIO
 
 BAR = 24
 
 
 class Console:
-    """Progress and messages in the form the output can show: a bar on a terminal, lines elsewhere."""
+    """Progress and messages as the output can show them: a bar on a terminal, lines elsewhere."""
 
     def __init__(self, verbosity: int, as_json: bool, color: bool) -> None:
         self.verbosity = verbosity
@@ -61,7 +62,7 @@ class Console:
         return f"\033[1m{text}\033[0m" if self.color else text
 
 
-def table(rows: list[tuple[str, ...]]) -> str:
+def table(rows: Sequence[tuple[str, ...]]) -> str:
     """Columns padded to their widest entry."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join(

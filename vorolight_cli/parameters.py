@@ -69,7 +69,8 @@ def add_options(
 
     A stage option that was not given arrives as None.
     """
-    parameters, hints = [], {}
+    parameters: list[inspect.Parameter] = []
+    hints: dict[str, Any] = {}
     for template in templates:
         hints |= inspect.get_annotations(template, eval_str=True)
         parameters += list(inspect.signature(template).parameters.values())
@@ -78,9 +79,7 @@ def add_options(
         for option in options(stage.params):
             name = names[stage.name][option.name]
             hints[name] = _annotation(option, name, stage.name)
-            parameters.append(
-                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
-            )
+            parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None))
     hints.pop("return", None)
     function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [

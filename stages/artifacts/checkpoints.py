@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,3 +46,5 @@ class Checkpoints:
     def clear(self) -> None:
         """Remove them all, once the stage's result is written."""
         shutil.rmtree(self.folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # other stages may have checkpoints there
+            self.folder.parent.rmdir()

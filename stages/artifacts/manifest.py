@@ -62,10 +62,7 @@ def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | Non
             return f"{path.name} is missing"
         if state.st_size != output["bytes"]:
             return f"{path.name} changed"
-        if verify:
-            if fingerprint.of_file(path) != output["sha256"]:
-                return f"{path.name} changed"
-        elif state.st_mtime_ns != manifest["volatile"]["mtime_ns"].get(path.name):
-            if fingerprint.of_file(path) != output["sha256"]:
-                return f"{path.name} changed"
+        touched = state.st_mtime_ns != manifest["volatile"]["mtime_ns"].get(path.name)
+        if (verify or touched) and fingerprint.of_file(path) != output["sha256"]:
+            return f"{path.name} changed"
     return None

@@ -24,7 +24,9 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def locate(cls, run: Path | None, input_stem: str | None, base: Path | None = None) -> RunFolder:
+    def locate(
+        cls, run: Path | None, input_stem: str | None, base: Path | None = None
+    ) -> RunFolder:
         """The run folder for the given ``--run`` and INPUT (design: its default name).
 
         With neither: the current folder if it is one, else the only ``*.vorolight`` in it.
@@ -59,9 +61,7 @@ class RunFolder:
     def arrays(self, stem: str, layout: str) -> Arrays:
         """The arrays of a finished stage. Raises ArtifactError when they are not there."""
         if not self.file(stem, "json").is_file():
-            raise ArtifactError(
-                f"{self.path}: stage {stem} is not done; run: vorolight {stem}"
-            )
+            raise ArtifactError(f"{self.path}: stage {stem} is not done; run: vorolight {stem}")
         from .hdf5 import decode
 
         return decode(self.file(stem, "h5"), layout)[0]

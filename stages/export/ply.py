@@ -88,7 +88,8 @@ def _header(raw: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], in
     if not raw.startswith(b"ply") or end < 0:
         raise ValueError("it has no PLY header")
     body = raw.find(b"\n", end) + 1
-    kind, elements = "", []
+    kind = ""
+    elements: list[tuple[str, int, list[list[str]]]] = []
     for line in raw[:end].decode("ascii", errors="replace").splitlines():
         words = line.split()
         if not words:
@@ -140,9 +141,7 @@ def decode(raw: bytes) -> PolygonMesh | None:
         return None
     if face_count and len(body) == 0:
         raise ValueError("the face list ends early")
-    offsets, positions = _ragged_faces(
-        body.astype(np.int64), body.astype(np.int64), 4, face_count
-    )
+    offsets, positions = _ragged_faces(body.astype(np.int64), body.astype(np.int64), 4, face_count)
     index_bytes = np.ascontiguousarray(body[positions[:, None] + np.arange(4)])
     indices = index_bytes.view(order + _TYPES[corner_list[2]]).reshape(-1).astype(np.int64)
     return PolygonMesh(vertices, offsets, indices)

@@ -78,8 +78,8 @@ def encode(mesh: PolyhedralMesh, cell_data: Mapping[str, Floats | Ints]) -> byte
     text += array("faceoffsets", face_offsets.astype("<i8"))
     text += "</Cells>\n<CellData>\n"
     for name, values in cell_data.items():
-        values = np.asarray(values)
-        text += array(name, values.astype("<f8" if values.dtype.kind == "f" else "<i8"))
+        kind = "<f8" if np.asarray(values).dtype.kind == "f" else "<i8"
+        text += array(name, np.asarray(values).astype(kind))
     text += "</CellData>\n</Piece>\n</UnstructuredGrid>\n"
     text += '<AppendedData encoding="raw">\n_'
     return text.encode("ascii") + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"

@@ -73,7 +73,9 @@ def find_room(surface: PolygonMesh, light: Light) -> Place:
     if len(filled) == 0:
         raise NumericalFailure("the shape has no inside near its base; choose another --up")
     where = np.argwhere(inside[:, :, filled[0]]).mean(axis=0)
-    return Place(float(low[0] - CELL + where[0] * CELL), float(low[1] - CELL + where[1] * CELL), 0.0)
+    return Place(
+        float(low[0] - CELL + where[0] * CELL), float(low[1] - CELL + where[1] * CELL), 0.0
+    )
 
 
 def base_bodies(surface: PolygonMesh, light: Light, place: Place) -> tuple[list[Any], Any]:
@@ -91,15 +93,11 @@ def base_bodies(surface: PolygonMesh, light: Light, place: Place) -> tuple[list[
     cup = Manifold.cylinder(height + LIP, outer, outer, SEGMENTS).translate(where)
     cavity = Manifold.cylinder(height + 1, radius, radius, SEGMENTS).translate(
         (place.x, place.y, -1.0)
-    ) + Manifold.cylinder(LIP, radius, radius - LIP, SEGMENTS).translate(
-        (place.x, place.y, height)
-    )
+    ) + Manifold.cylinder(LIP, radius, radius - LIP, SEGMENTS).translate((place.x, place.y, height))
     return [foot, cup], cavity
 
 
-def mm_from_input(
-    vertices: Floats, up: str, height: float, trim: float, overhang: float
-) -> Floats:
+def mm_from_input(vertices: Floats, up: str, height: float, trim: float, overhang: float) -> Floats:
     """The 4 x 4 map that turns ``up`` to z and gives the printed object its height.
 
     ``trim`` is the share of the shape's height cut off for a flat base, which comes to z = 0;

@@ -14,7 +14,7 @@ from ..surface.topology import edges
 
 @dataclass(frozen=True)
 class TubeGraph:
-    """Axes of the tubes: ``nodes (K, 3)`` in millimetres, ``tubes (E, 2)``, faces over the nodes."""
+    """Axes of the tubes: ``nodes (K, 3)`` in mm, ``tubes (E, 2)``, and the faces over the nodes."""
 
     nodes: Floats
     tubes: Ints

@@ -11,7 +11,8 @@ def normal_consistency(frames: Frames, connectivity: Connectivity) -> torch.Tens
     """``L_normal = mean_f (1 - <n_f, nbar_f>)^2``, nbar_f the unit mean of neighbouring normals."""
     mean = connectivity.neighbour_mean(frames.normal)
     mean = mean / (torch.linalg.vector_norm(mean, dim=1, keepdim=True) + 1e-12)
-    return ((1 - (frames.normal * mean).sum(1)) ** 2).mean()
+    deviation = 1 - (frames.normal * mean).sum(1)
+    return torch.mean(deviation**2)
 
 
 def area_uniformity(frames: Frames) -> torch.Tensor:

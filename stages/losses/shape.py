@@ -7,7 +7,6 @@ paper's division by h0^2 is in that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import torch
 
 from ..errors import NumericalFailure
 from ..surface.frames import Frames
+from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats
 
 if TYPE_CHECKING:
@@ -22,20 +22,6 @@ if TYPE_CHECKING:
 
 ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
 """``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
-
-
-@dataclass(frozen=True)
-class ModelFrame:
-    """``input = origin + spacing * model``."""
-
-    origin: Floats
-    spacing: float
-
-    def model_from_input(self, points: Floats) -> Floats:
-        return (points - self.origin) / self.spacing
-
-    def input_from_model(self, points: Floats) -> Floats:
-        return self.origin + self.spacing * points
 
 
 def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:

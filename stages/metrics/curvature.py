@@ -96,9 +96,9 @@ def statistics(
     if not valid.any():
         return None
     area = geometry.triangle_areas(vertices, triangles)
-    share = np.bincount(
-        triangles.reshape(-1), np.repeat(area / 3, 3), minlength=len(vertices)
-    )[valid]
+    share = np.bincount(triangles.reshape(-1), np.repeat(area / 3, 3), minlength=len(vertices))[
+        valid
+    ]
     weight = share / share.sum()
     size = np.abs(curvature[valid])
     mean = float(weight @ size)

@@ -23,7 +23,7 @@ class MeshSource:
 
     def __init__(self, path: Path) -> None:
         loaded = load(path)
-        self.path: Path | None = path
+        self.path = path
         self.name = path.stem
         self.polygons = loaded.polygons
         self.polygons_kept = loaded.polygons_kept
@@ -54,7 +54,7 @@ class MeshSource:
     def inside(self, points: Floats) -> NDArray[np.bool_]:
         """One ray on a closed mesh; the majority of three directions on an open one."""
         votes = np.sum([rays.inside(points) for rays in self._rays], axis=0)
-        return votes * 2 > len(self._rays)
+        return np.asarray(votes * 2 > len(self._rays))
 
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         return geometry.sample_triangles(self.vertices, self.triangles, count, random)[0]

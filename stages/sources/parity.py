@@ -93,4 +93,4 @@ class RayParity:
         normal = np.cross(edge1, edge2)
         reach = np.einsum("ij,ij->i", corner[:, 0] - points[owner], normal)
         above = reach * normal[:, 2] > 0
-        return np.bincount(owner[above], minlength=len(points)) % 2 == 1
+        return np.asarray(np.bincount(owner[above], minlength=len(points)) % 2 == 1)

@@ -14,10 +14,16 @@ from ..surface.polygons import Floats
 class Source(Protocol):
     """A shape. All coordinates are the input's own."""
 
-    name: str
-    kind: str
-    path: Path | None
-    """The file it comes from; None for a built-in field."""
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def path(self) -> Path | None:
+        """The file it comes from; None for a built-in field."""
+        ...
 
     def bounding_box(self) -> Floats:
         """A box ``(2, 3)`` that holds the shape: lower corner, upper corner."""
@@ -38,4 +44,3 @@ class Source(Protocol):
     def warnings(self) -> list[str]:
         """What the user should know about this input."""
         ...
-

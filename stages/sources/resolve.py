@@ -13,6 +13,14 @@ if TYPE_CHECKING:
     from .protocol import Source
 
 
+Y_UP = (".obj", ".ply", ".off", ".glb", ".gltf")
+
+
+def up_axis(path: str | None) -> str:
+    """The axis that points up in an input: y for formats that mostly have it so, else z."""
+    return "y" if path is not None and Path(path).suffix.lower() in Y_UP else "z"
+
+
 @dataclass(frozen=True)
 class Identity:
     """An input without opening it: what a fingerprint and a manifest need."""

@@ -59,4 +59,4 @@ def contract_short_edges(
     _, labels = connected_components(graph, directed=False)
     representative = np.full(labels.max() + 1, count, dtype=np.int64)
     np.minimum.at(representative, labels, np.arange(count))
-    return representative[labels]
+    return np.asarray(representative[labels])

@@ -51,9 +51,9 @@ def fan_triangles(mesh: PolygonMesh) -> tuple[Floats, Ints, Ints]:
     index = np.full(mesh.face_count, -1, dtype=np.int64)
     index[large] = mesh.vertex_count + np.arange(large.sum())
     corner_large = large[mesh.corner_faces]
-    fans = np.stack(
-        [index[mesh.corner_faces], mesh.face_vertices, mesh.next_vertices], axis=1
-    )[corner_large]
+    fans = np.stack([index[mesh.corner_faces], mesh.face_vertices, mesh.next_vertices], axis=1)[
+        corner_large
+    ]
     small = mesh.valences == 3
     starts = mesh.face_offsets[:-1][small]
     plain = mesh.face_vertices[starts[:, None] + np.arange(3)]
@@ -66,7 +66,7 @@ def fan_triangles(mesh: PolygonMesh) -> tuple[Floats, Ints, Ints]:
 
 def triangle_areas(vertices: Floats, triangles: Ints) -> Floats:
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
 def enclosed_volume(vertices: Floats, triangles: Ints) -> float:
@@ -80,7 +80,7 @@ def component_volumes(mesh: PolygonMesh, component: Ints, count: int) -> Floats:
     """Signed volume enclosed by each component ``(count,)``; a cavity's is negative."""
     area, normal, centroid = face_frames(mesh)
     height = np.einsum("ij,ij->i", centroid - mesh.vertices.mean(axis=0), normal)
-    return np.bincount(component, area * height / 3, minlength=count)
+    return np.asarray(np.bincount(component, area * height / 3, minlength=count), np.float64)
 
 
 def sample_triangles(
@@ -97,7 +97,7 @@ def sample_triangles(
 
 
 def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
-    """Area-weighted average of incident triangle normals, unit, ``(V, 3)`` (appendix, curvature)."""
+    """Unit area-weighted means of incident triangle normals ``(V, 3)`` (appendix B.2)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     total = np.zeros_like(vertices)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+ARRAYS = ("vertices", "face_offsets", "face_vertices")
+"""Names of a mesh's arrays, in files as in memory."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,15 @@ class PolygonMesh:
         faces = np.asarray(triangles, dtype=np.int64)
         offsets = np.arange(len(faces) + 1, dtype=np.int64) * faces.shape[1]
         return cls(np.asarray(vertices, dtype=np.float64), offsets, faces.reshape(-1))
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any], prefix: str = "") -> PolygonMesh:
+        """The polygons stored under ``prefix`` in an HDF5 file."""
+        return cls(*(arrays[prefix + name] for name in ARRAYS))
+
+    def as_arrays(self, prefix: str = "") -> dict[str, Any]:
+        """The arrays to store under ``prefix``."""
+        return {prefix + name: getattr(self, name) for name in ARRAYS}
 
     @property
     def face_count(self) -> int:

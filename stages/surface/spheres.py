@@ -15,9 +15,7 @@ def initial_spheres(mesh: PolygonMesh) -> tuple[Floats, Floats]:
     root of the face's area.
     """
     area, _, centroid = face_frames(mesh)
-    reach = np.linalg.norm(
-        mesh.vertices[mesh.face_vertices] - centroid[mesh.corner_faces], axis=1
-    )
+    reach = np.linalg.norm(mesh.vertices[mesh.face_vertices] - centroid[mesh.corner_faces], axis=1)
     total = np.bincount(mesh.face_vertices, reach, minlength=mesh.vertex_count)
     count = np.bincount(mesh.face_vertices, minlength=mesh.vertex_count)
     return total / np.maximum(count, 1), np.sqrt(area)

@@ -70,7 +70,9 @@ def polyhedral_mesh(
         sign = np.where(a_in & b_in, np.where(a < b, 1, -1), a_in.astype(int) - b_in.astype(int))
         return sign.astype(np.int8)
 
-    surface = rings_to_surface(generators, tetrahedra, voronoi_rings(generators, tetrahedra, select))
+    surface = rings_to_surface(
+        generators, tetrahedra, voronoi_rings(generators, tetrahedra, select)
+    )
     flat = surface.flatness < FLAT
     faces = surface.mesh.with_vertices(settle(surface.mesh.vertices, surface.mesh, flat))
     cell_generator = np.unique(surface.generators[inside[surface.generators]])
@@ -102,7 +104,9 @@ def open_cells(mesh: PolyhedralMesh) -> int:
     edge = np.minimum(half[:, 1], half[:, 2]) * count + np.maximum(half[:, 1], half[:, 2])
     order = np.lexsort((edge, half[:, 0]))
     cell, edge, forward = half[order, 0], edge[order], forward[order]
-    group = np.cumsum(np.diff(edge, prepend=-1).astype(bool) | np.diff(cell, prepend=-1).astype(bool))
+    group = np.cumsum(
+        np.diff(edge, prepend=-1).astype(bool) | np.diff(cell, prepend=-1).astype(bool)
+    )
     uses = np.bincount(group)[group]
     ahead_uses = np.bincount(group, forward)[group]
     return len(np.unique(cell[(uses != 2) | (ahead_uses != 1)]))

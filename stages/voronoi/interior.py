@@ -40,11 +40,11 @@ class Guard:
         return cls(generators, inside, centres, np.linalg.norm(centres - first, axis=1))
 
     def admits(self, points: Floats, threads: int) -> NDArray[np.bool_]:
-        """Points inside the surface and outside every vertex sphere: adding them changes no face."""
+        """Points inside the surface and outside every vertex sphere; they change no face."""
         from scipy.spatial import cKDTree
 
         nearest = cKDTree(self.generators).query(points, workers=threads)[1]
-        admitted = self.inside[nearest]
+        admitted = np.asarray(self.inside[nearest])
         candidates = np.flatnonzero(admitted)
         if len(candidates) == 0:
             return admitted

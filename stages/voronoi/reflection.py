@@ -20,7 +20,7 @@ def signed_distance(interior: NDArray[np.bool_]) -> Floats:
 
     outside = distance_transform_edt(~interior)
     within = distance_transform_edt(interior)
-    return np.where(interior, 0.5 - within, outside - 0.5)
+    return np.asarray(np.where(interior, 0.5 - within, outside - 0.5))
 
 
 def reflect(grid: VoxelGrid) -> tuple[Floats, NDArray[np.bool_]]:

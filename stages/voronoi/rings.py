@@ -54,9 +54,9 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     incidence = np.full(wanted.shape, -1, dtype=np.int64)
     incidence[tet, edge] = np.arange(len(tet))
 
-    # State (incidence, side): leave the tetrahedron through the facet opposite OPPOSITE[edge, side];
-    # the other free corner is carried along and is the one to leave opposite of in the next one.
-    following = np.empty((len(tet), 2), dtype=np.int64)
+    # State (incidence, side): leave the tetrahedron opposite its corner OPPOSITE[edge, side]; the
+    # other free corner is carried along and is the one to leave opposite of in the next one.
+    leaving = np.empty((len(tet), 2), dtype=np.int64)
     for side in (0, 1):
         beyond = neighbours[tet, OPPOSITE[edge, side]]
         if (beyond < 0).any():
@@ -66,8 +66,8 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         local = [np.argmax(there == which[:, None], axis=1) for which in (first, second, carried)]
         next_edge = EDGE_OF[local[0], local[1]]
         next_side = (OPPOSITE[next_edge, 1] == local[2]).astype(np.int64)
-        following[:, side] = 2 * incidence[beyond, next_edge] + next_side
-    following = following.reshape(-1)
+        leaving[:, side] = 2 * incidence[beyond, next_edge] + next_side
+    following = leaving.reshape(-1)
 
     key = first * len(generators) + second
     order = np.argsort(key, kind="stable")
@@ -84,7 +84,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         raise NumericalFailure("the Delaunay tetrahedra do not close around an edge")
 
     # The turning sense about first -> second, from the volumes: scipy does not orient tetrahedra.
-    at, side = walked >> 1, walked & 1
+    at, turned = walked >> 1, walked & 1
     base = generators[first[at]]
     ahead, left, right = (
         generators[which] - base
@@ -94,7 +94,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
             corners[tet[at], OPPOSITE[edge[at], 1]],
         )
     )
-    volume = np.einsum("ij,ij->i", ahead, np.cross(left, right)) * np.where(side == 0, 1.0, -1.0)
+    volume = np.einsum("ij,ij->i", ahead, np.cross(left, right)) * np.where(turned == 0, 1.0, -1.0)
     clockwise = np.add.reduceat(volume, starts) < 0
     offsets = np.append(starts, len(order)).astype(np.int64)
     ring = tet[at]

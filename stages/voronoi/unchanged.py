@@ -34,15 +34,12 @@ def same_surface(
     changed = areas[0].keys() ^ areas[1].keys()
     if changed:
         return f"{len(changed)} faces"
-    old, new = (
-        _by_tetrahedron(surface, shift) for surface, shift in ((before, 0), (after, added))
-    )
+    old, new = (_by_tetrahedron(surface, shift) for surface, shift in ((before, 0), (after, added)))
     common = np.intersect1d(old[0], new[0], return_indices=True)
-    positions = [old[1][common[1]], new[1][common[2]]]
     missing = len(old[0]) + len(new[0]) - 2 * len(common[0])
     if missing:
         return f"{missing} vertices"
-    if not np.array_equal(*positions):
+    if not np.array_equal(old[1][common[1]], new[1][common[2]]):
         return "positions of vertices"
     return None
 

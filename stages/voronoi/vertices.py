@@ -42,7 +42,8 @@ def voronoi_vertices(generators: torch.Tensor, tetrahedra: torch.Tensor) -> torc
     ``|x_i - v|^2 = |x_0 - v|^2`` gives ``A dv = ((x_i - v) dx_i - (x_0 - v) dx_0)_i``, so with
     ``A^T u = dL/dv`` the gradients are ``u_i (x_i - v)`` and ``-(sum u)(x_0 - v)``.
     """
-    return _circumcentre_function().apply(generators, tetrahedra)
+    result: torch.Tensor = _circumcentre_function().apply(generators, tetrahedra)
+    return result
 
 
 _FUNCTION: list[Any] = []

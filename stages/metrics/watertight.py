@@ -1,0 +1,32 @@
+"""Whether a written surface is closed, judged on the file as it is read back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import NumericalFailure
+from ..export import ply
+from ..surface.geometry import enclosed_volume, fan_triangles
+from ..surface.topology import topology
+
+
+def as_written(paths: dict[str, Path]) -> dict[str, Any]:
+    """Read the PLY among the written files back and count.
+
+    Raises NumericalFailure unless every edge is in exactly two faces with opposite directions and
+    the surface faces outward.
+    """
+    mesh = ply.read(paths["ply"])
+    if mesh is None:
+        raise NumericalFailure(f"{paths['ply'].name}: cannot be read back")
+    facts = topology(mesh)
+    volume = enclosed_volume(*fan_triangles(mesh)[:2])
+    if not facts.closed:
+        raise NumericalFailure(
+            f"the surface is not closed: {facts.bad_edges} edges are not in two faces; "
+            "change -n a little and run again"
+        )
+    if volume <= 0:
+        raise NumericalFailure("the surface faces inward: the inside and outside are swapped")
+    return {"closed": True, "faces": facts.faces, "euler_number": facts.euler_number}

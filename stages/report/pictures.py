@@ -1,0 +1,92 @@
+"""Pictures of a run, drawn from its files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..artifacts.run_folder import RunFolder
+from ..render import raster
+from ..sources.resolve import up_axis
+from ..surface.geometry import face_frames, fan_triangles
+from ..surface.polygons import Floats, PolygonMesh
+
+SURFACE = np.array([0.56, 0.72, 0.88])
+INNER = np.array([0.98, 0.75, 0.42])
+PRINT = np.array([0.93, 0.90, 0.84])
+AZIMUTH = {"y": 60.0, "z": -60.0}
+
+
+def _up(folder: RunFolder) -> str:
+    stored = folder.manifest("classify")
+    return up_axis(stored["inputs"][0]["path"]) if stored else "z"
+
+
+def _view(up: str) -> raster.View:
+    return raster.view(up, AZIMUTH[up])
+
+
+def surfaces(folder: RunFolder, size: int = 480) -> Floats | None:
+    """Initial surface, trained polygons and written surface side by side, as far as done."""
+    panels = []
+    for stage, prefix in (
+        ("init", "surface/"), ("sphere-train", "trained/"), ("sphere-train", "surface/")
+    ):  # fmt: skip
+        if folder.manifest(stage) is None:
+            continue
+        mesh = PolygonMesh.from_arrays(folder.arrays(stage, stage), prefix)
+        vertices, triangles, faces = fan_triangles(mesh)
+        view = _view(_up(folder))
+        panels.append(raster.shaded(vertices, triangles, faces, SURFACE, view, size, size))
+    return np.concatenate(panels, axis=1) if panels else None
+
+
+def cutaway(folder: RunFolder, size: int = 480) -> Floats | None:
+    """The cells of the volume behind a plane through its middle; inner cells in another colour."""
+    if folder.manifest("volume") is None:
+        return None
+    arrays = folder.arrays("volume", "volume")
+    up = _up(folder)
+    view = _view(up)
+    generator = arrays["generators"][arrays["cell_generator"]]
+    inner = arrays["generator_role"][arrays["cell_generator"]] == 2
+    across = view.frame()[2].copy()
+    across["xyz".index(up)] = 0.0
+    depth = generator @ across
+    kept = depth < np.median(depth)
+    owner, neighbour = arrays["face_owner"], arrays["face_neighbour"]
+    beyond = (neighbour >= 0) & kept[neighbour]
+    shown = kept[owner] != beyond
+    mesh = PolygonMesh.from_arrays(arrays).select_faces(shown)
+    flip = ~kept[owner[shown]]
+    vertices, triangles, faces = fan_triangles(mesh)
+    triangles = np.where(flip[faces, None], triangles[:, ::-1], triangles)
+    cell = np.where(flip, neighbour[shown], owner[shown])
+    colors = np.where(inner[cell][faces, None], INNER, SURFACE)
+    _, normal, _ = face_frames(mesh)
+    cut = np.abs(normal @ across) > 0  # every face belongs to some cell: outline cells, not faces
+    groups = np.where(cut[faces], cell[faces], -2)
+    return raster.shaded(vertices, triangles, groups, colors, view, size, size)
+
+
+def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
+    """The printable object: by night with its light on, and by day."""
+    stored = folder.manifest("fabricate")
+    if stored is None:
+        return None
+    from ..export import ply
+
+    mesh = ply.read(folder.file("fabricate", "ply"))
+    assert mesh is not None  # our own file has the plain layout
+    triangles = mesh.face_vertices.reshape(-1, 3)
+    view = raster.view("z", AZIMUTH[_up(folder)])
+    day = raster.shaded(mesh.vertices, triangles, None, PRINT, view, size, size)
+    light = stored["metrics"].get("light")
+    if light is None:
+        return day
+    height = float(mesh.vertices[:, 2].max())
+    source = (light["x_mm"], light["y_mm"], 0.5 * light["cavity_height_mm"] + 0.2 * height)
+    night = raster.lit(mesh.vertices, triangles, source, view, size, size)
+    return np.concatenate([night, day], axis=1)
+
+
+PICTURES = {"surfaces": surfaces, "cutaway": cutaway, "lamp": lamp}
