@@ -2,10 +2,10 @@
 
 Example:
     >>> from pathlib import Path
-    >>> from vorolight.stages import classify, pipeline
+    >>> from vorolight.stages import classify, pipeline, standing
     >>> from vorolight.stages.artifacts.run_folder import RunFolder
     >>> from vorolight.stages.sources.resolve import identify
-    >>> session = pipeline.Session(RunFolder(Path("heart.vorolight")), identify("heart"))
+    >>> session = standing.Session(RunFolder(Path("heart.vorolight")), identify("heart"))
     >>> result = pipeline.execute(session, "classify", classify.Params(n_init=25))  # doctest: +SKIP
 """
 

@@ -1,0 +1,83 @@
+# `make lamp` and `make test` do their own set-up. The targets of a run are the stages' manifests;
+# vorolight itself decides what is stale, so every recipe is tried and an up-to-date stage is skipped.
+PYTHON ?= python3
+VENV ?= .venv
+INPUT ?= bunny.obj
+N ?= 25
+SEED ?= 0
+THREADS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
+INNER ?= 800
+FABRICATE ?= --lamp
+
+BIN := $(VENV)/bin
+RUN ?= $(basename $(notdir $(INPUT))).vorolight
+COMMON = --run $(RUN) --seed $(SEED) --threads $(THREADS)
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.DELETE_ON_ERROR:
+.PHONY: lamp run test test-all check schemas pictures clean always
+
+lamp: bunny.obj
+	@$(MAKE) --no-print-directory run INPUT=bunny.obj
+	@echo "The lamp: $(RUN)/fabricate.stl   What was measured: $(RUN)/report.html"
+
+run: $(RUN)/report.html
+
+bunny.obj airplane.obj cow.obj bone.ply: | $(VENV)/installed
+	$(BIN)/vorolight sample $(basename $@)
+
+$(RUN)/classify.json: $(wildcard $(INPUT)) always | $(VENV)/installed
+	@$(BIN)/vorolight classify $(INPUT) -n $(N) $(COMMON)
+$(RUN)/init.json: $(RUN)/classify.json always
+	@$(BIN)/vorolight init $(COMMON)
+$(RUN)/sphere-train.json: $(RUN)/init.json always
+	@$(BIN)/vorolight sphere-train $(COMMON)
+$(RUN)/volume.json: $(RUN)/sphere-train.json always
+	@$(BIN)/vorolight volume --inner $(INNER) $(COMMON)
+$(RUN)/evaluate-%.json: $(RUN)/%.json always
+	@$(BIN)/vorolight evaluate --of $* $(COMMON)
+$(RUN)/fabricate.json: $(RUN)/sphere-train.json always
+	@$(BIN)/vorolight fabricate $(FABRICATE) $(COMMON)
+$(RUN)/report.html: $(RUN)/volume.json $(RUN)/evaluate-init.json $(RUN)/evaluate-sphere-train.json \
+		$(RUN)/fabricate.json
+	@$(BIN)/vorolight report --run $(RUN)
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) -e .
+	@touch $@
+$(VENV)/tested-with: $(VENV)/installed
+	$(PIP) -e '.[test]'
+	@touch $@
+
+test: $(VENV)/tested-with
+	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest
+test-all: $(VENV)/tested-with
+	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -m ''
+
+# Lint, and type-check the package as the wheel installs it.
+check: $(VENV)/tested-with
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	rm -rf build/check && mkdir -p build/check
+	$(BIN)/python -m pip wheel --quiet --no-deps -w build/check/dist .
+	$(BIN)/python -m pip install --quiet --no-deps --target build/check/site build/check/dist/*.whl
+	cd build/check && MYPYPATH=site ../../$(BIN)/mypy --config-file ../../pyproject.toml \
+		--python-executable ../../$(BIN)/python --namespace-packages --explicit-package-bases \
+		-p vorolight.cli -p vorolight.schemas -p vorolight.stages
+	cd build/check && PYTHONPATH=site ../../$(BIN)/python -m vorolight.cli run sphere -n 6 \
+		--until volume --inner 20 --sphere-train-iterations 20 --force --quiet
+
+schemas: $(VENV)/installed
+	$(BIN)/python -m vorolight.schemas.build
+
+# The pictures of the README, from runs of the tool itself.
+pictures: bunny.obj
+	@$(MAKE) --no-print-directory run INPUT=bunny.obj
+	@$(MAKE) --no-print-directory run INPUT=heart
+	$(BIN)/vorolight report --run bunny.vorolight --pictures examples
+	$(BIN)/vorolight report --run heart.vorolight --pictures examples
+
+clean:
+	rm -rf build *.vorolight bunny.obj
+always:

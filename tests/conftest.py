@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+settings.register_profile("tests", deadline=None, max_examples=15, derandomize=True)
+settings.load_profile("tests")
+
+QUICK = ["--init-iterations", "15", "--sphere-train-iterations", "60", "--inner", "20",
+         "--cvt-iterations", "5", "--samples", "5000", "--sides", "6"]  # fmt: skip
+Cli = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(autouse=True)
+def _two_threads() -> None:
+    import torch
+
+    torch.set_num_threads(2)
+
+
+@pytest.fixture(scope="session")
+def cli() -> Cli:
+    """The real command line in a process of its own."""
+
+    def call(*words: object, cwd: Path, **more: Any) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "vorolight.cli", *map(str, words)]
+        environment = {**os.environ, **more.pop("env", {})}
+        return subprocess.run(
+            command, cwd=cwd, capture_output=True, text=True, timeout=300, env=environment, **more
+        )
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def heart_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
+    """The folder of a small but whole run on the heart, lamp included."""
+    folder = tmp_path_factory.mktemp("heart")
+    done = cli("run", "heart", "-n", 10, "--lamp", *QUICK, "--threads", 2, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "heart.vorolight"
+
+
+@pytest.fixture
+def manifest(heart_run: Path) -> Callable[[str], dict[str, Any]]:
+    return lambda stem: json.loads((heart_run / f"{stem}.json").read_text())
+
+
+def sphere_mesh(radius: float = 1.0, level: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """An icosphere's vertices and triangles."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=level, radius=radius)
+    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+
+
+def torus_mesh(major: float, minor: float, m: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    mesh = trimesh.creation.torus(major, minor, major_sections=m, minor_sections=n)
+    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+
+
+def random_rotation(seed: int) -> np.ndarray:
+    matrix, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return matrix * np.sign(np.linalg.det(matrix))

@@ -1,0 +1,168 @@
+"""Run folders: atomic writes, locks, checkpoints, layouts, manifests."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vorolight import schemas
+from vorolight.schemas import layouts
+from vorolight.stages.artifacts import atomic, fingerprint, hdf5, lock, manifest, randomness
+from vorolight.stages.artifacts.checkpoints import Checkpoints
+from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.errors import ArtifactError, Locked, UsageError
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: Any) -> None:
+    path = tmp_path / "a.json"
+    atomic.write(path, b"old")
+
+    def broken(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", broken)
+    with pytest.raises(UsageError, match="No space left"):
+        atomic.write(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_sweep_removes_only_what_dead_processes_left(tmp_path: Path) -> None:
+    dead, alive = tmp_path / ".x.h5.tmp.999999999", tmp_path / f".y.h5.tmp.{os.getpid()}"
+    dead.touch()
+    alive.touch()
+    atomic.sweep(tmp_path)
+    assert not dead.exists()
+    assert alive.exists()
+
+
+def test_lock(tmp_path: Path) -> None:
+    with lock.locked(tmp_path) as notes:
+        assert notes == []
+        with pytest.raises(Locked, match="held by process"), lock.locked(tmp_path):
+            pass
+    assert not (tmp_path / lock.NAME).exists()
+    dead = json.dumps({"host": os.uname().nodename, "pid": 999999999, "start": 0})
+    (tmp_path / lock.NAME).write_text(dead)
+    with lock.locked(tmp_path) as notes:
+        assert "took over" in notes[0]
+    (tmp_path / lock.NAME).write_text(json.dumps({"host": "elsewhere", "pid": 1, "start": 0}))
+    with pytest.raises(Locked, match="elsewhere"), lock.locked(tmp_path):
+        pass
+
+
+def test_checkpoints(tmp_path: Path) -> None:
+    mine = Checkpoints(tmp_path / "checkpoints" / "init", "a" * 64)
+    assert mine.latest() is None
+    for iteration in (10, 20, 30):
+        mine.save(iteration, {"x": np.full(3, iteration)})
+    assert len(list(mine.folder.iterdir())) == 2
+    assert mine.latest()[0] == 30
+    (mine.folder / "000030.h5").write_bytes(b"torn")
+    iteration, arrays = mine.latest()
+    assert iteration == 20
+    assert arrays["x"].tolist() == [20, 20, 20]
+    assert Checkpoints(mine.folder, "b" * 64).latest() is None
+    mine.clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hdf5_bytes_are_reproducible_and_laid_out(tmp_path: Path) -> None:
+    arrays = {
+        "origin": np.zeros(3),
+        "spacing": 0.1,
+        "interior": np.zeros((9, 8, 7), bool),
+        "exterior": np.zeros((9, 8, 7), bool),
+    }
+    data = hdf5.encode("classify", arrays, {"stage": "classify"})
+    assert data == hdf5.encode("classify", arrays, {"stage": "classify"})
+    path = tmp_path / "classify.h5"
+    path.write_bytes(data)
+    found, attributes = hdf5.decode(path, "classify")
+    assert found["interior"].shape == (9, 8, 7)
+    assert attributes["stage"] == "classify"
+    with pytest.raises(ValueError, match="shape"):
+        hdf5.encode("classify", arrays | {"exterior": np.zeros((9, 8, 6), bool)}, {})
+    for cut in (0, 10, len(data) // 2):
+        path.write_bytes(data[:cut])
+        with pytest.raises(ArtifactError, match="--force"):
+            hdf5.decode(path, "classify")
+
+
+def test_layout_names_the_fault() -> None:
+    good = {
+        "vertices": np.zeros((3, 3)),
+        "face_offsets": np.array([0, 3]),
+        "face_vertices": np.arange(3),
+    }
+    arrays = {f"surface/{key}": value for key, value in good.items()}
+    arrays |= {"vertex_distance": np.zeros(3), "mean_curvature": np.zeros(3)}
+    layouts.check("evaluate", arrays)
+    for change, reason in (
+        ({"surface/face_vertices": np.array([0, 1, 3])}, "not there"),
+        ({"surface/face_offsets": np.array([0, 2])}, "row index"),
+        ({"vertex_distance": np.zeros(4)}, "shape"),
+        ({"vertex_distance": np.zeros(3, int)}, "holds int64"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            layouts.check("evaluate", arrays | change)
+
+
+def test_randomness_is_counter_based() -> None:
+    first = randomness.generator(1, "init", "target", 5).random(4)
+    assert np.array_equal(first, randomness.generator(1, "init", "target", 5).random(4))
+    for other in ((2, "init", "target", 5), (1, "volume", "target", 5), (1, "init", "target", 6)):
+        assert not np.array_equal(first, randomness.generator(*other).random(4))
+
+
+def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]]) -> None:
+    good = manifest("init")
+    schemas.validate(good)
+    schemas.validate(good | {"unknown": 1})
+    for path, value in (
+        (("fingerprint",), "short"),
+        (("params", "iterations"), "many"),
+        (("params", "iterations"), -1),
+        (("outputs", 0, "path"), "../elsewhere.h5"),
+        (("stage",), "volume"),
+    ):
+        bad = copy.deepcopy(good)
+        place: Any = bad
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = value
+        with pytest.raises(ValueError, match="breaks its schema"):
+            schemas.validate(bad)
+    newer = good | {"schema": "urn:vorolight:manifest:99:init"}
+    with pytest.raises(ValueError, match="upgrade"):
+        schemas.validate(newer)
+
+
+def test_numbers_that_json_lacks_become_null() -> None:
+    cleaned = manifest.clean_numbers({"a": np.float64("nan"), "b": [np.int64(3), float("inf")]})
+    assert cleaned == {"a": None, "b": [3, None]}
+
+
+def test_fingerprints_do_not_depend_on_order() -> None:
+    assert fingerprint.of_json({"a": 1, "b": 2.0}) == fingerprint.of_json({"b": 2.0, "a": 1})
+    assert fingerprint.of_json({"a": 1}) != fingerprint.of_json({"a": 2})
+
+
+def test_run_folder_is_found(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match="no run folder here"):
+        RunFolder.locate(None, None, tmp_path)
+    assert RunFolder.locate(None, "bunny", tmp_path).path == tmp_path / "bunny.vorolight"
+    one = tmp_path / "one.vorolight"
+    one.mkdir()
+    assert RunFolder.locate(None, None, tmp_path).path == one
+    assert RunFolder.locate(None, None, one).path == one
+    (tmp_path / "two.vorolight").mkdir()
+    with pytest.raises(UsageError, match=r"one.vorolight, two.vorolight"):
+        RunFolder.locate(None, None, tmp_path)

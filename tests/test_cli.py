@@ -1,0 +1,278 @@
+"""The real command line: results, up-to-date runs, bad input, exit codes, resuming."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import QUICK, Cli, sphere_mesh
+from test_sources import write_obj
+
+from vorolight.stages.artifacts.hdf5 import decode
+from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.topology import topology
+
+STAGES = ("classify", "init", "sphere-train", "volume", "fabricate")
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def without_volatile(files: dict[str, bytes]) -> dict[str, Any]:
+    """All files but the report, manifests less their volatile block."""
+    result: dict[str, Any] = dict(files)
+    for name in files:
+        if name.endswith(".json"):
+            result[name] = {k: v for k, v in json.loads(files[name]).items() if k != "volatile"}
+    result.pop("report.html", None)
+    return result
+
+
+def test_a_whole_run(heart_run: Path, manifest: Callable[[str], dict[str, Any]]) -> None:
+    for stage in STAGES:
+        record = manifest(stage)
+        assert record["status"] == "complete"
+        arrays, _ = decode(heart_run / f"{stage}.h5", stage)
+        assert arrays
+    for stage in ("init", "sphere-train"):
+        arrays, _ = decode(heart_run / f"{stage}.h5", stage)
+        facts = topology(PolygonMesh.from_arrays(arrays, "surface/"))
+        assert facts.closed
+        assert manifest(stage)["metrics"]["as_written"]["closed"]
+    metrics = manifest("evaluate-sphere-train")["metrics"]
+    assert metrics["gates"]["closed"] is True
+    assert metrics["gates"]["self_intersection"] == "not run"
+    assert metrics["chamfer"]["f1"] > 0.5
+    assert 0.9 < metrics["curvature"]["mean"] < 1.5
+    assert manifest("volume")["metrics"]["open_cells"] == 0
+    assert manifest("volume")["metrics"]["volume_error"] < 1e-6
+    page = (heart_run / "report.html").read_text()
+    assert page.count("<img") == 3
+    assert "pair_area_share" in page
+
+
+def test_training_makes_the_surface_smoother_and_truer(heart_run: Path) -> None:
+    history = decode(heart_run / "sphere-train.h5", "sphere-train")[0]["history"]
+    assert history.shape == (60, 4)
+    assert history[-1, 0] < 0.2 * history[0, 0]
+    first = decode(heart_run / "init.h5", "init")[0]["history"]
+    assert first[-1, 0] < 0.5 * first[0, 0]
+
+
+def test_nothing_runs_twice(heart_run: Path, cli: Cli) -> None:
+    before = snapshot(heart_run)
+    done = cli(
+        "run", "heart", "-n", 10, "--lamp", *QUICK, "--threads", 2, "-q", cwd=heart_run.parent
+    )
+    assert done.returncode == 0
+    after = snapshot(heart_run)
+    before.pop("report.html")
+    after.pop("report.html")
+    assert before == after
+    seen = cli("status", "--json", cwd=heart_run.parent)
+    states = [json.loads(line) for line in seen.stdout.splitlines()]
+    assert {entry["state"] for entry in states} == {"done"}
+    assert {entry["stage"] for entry in states} >= {*STAGES, "evaluate-sphere-train"}
+
+
+def test_dry_run_says_why(heart_run: Path, cli: Cli) -> None:
+    before = snapshot(heart_run)
+    done = cli("init", "-n", 11, "--dry-run", cwd=heart_run.parent)
+    assert "n_init 10 -> 11" in done.stdout
+    done = cli("volume", "--inner", 21, "--cvt-iterations", 5, "--dry-run", cwd=heart_run.parent)
+    assert "inner 20 -> 21" in done.stdout
+    assert snapshot(heart_run) == before
+
+
+def test_touch_renews_only_the_time(heart_run: Path, cli: Cli) -> None:
+    path = heart_run / "classify.json"
+    content = path.read_bytes()
+    os.utime(path, (1, 1))
+    done = cli("classify", "-n", 10, "--touch", cwd=heart_run.parent)
+    assert "up to date" in done.stdout
+    assert path.stat().st_mtime > 1
+    assert path.read_bytes() == content
+
+
+def test_evaluate_as_json_and_against_a_reference(heart_run: Path, cli: Cli) -> None:
+    done = cli("evaluate", "--of", "init", "--samples", 4000, "--reference",
+               heart_run / "sphere-train.ply", "--json", "--strict", cwd=heart_run.parent)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    record = json.loads(done.stdout)
+    assert record["metrics"]["protocol"]["reference"] == "sphere-train"
+    assert {entry["role"] for entry in record["inputs"]} == {"input", "reference"}
+    done = cli("evaluate", "--of", "volume", "--samples", 4000, "-q", cwd=heart_run.parent)
+    assert done.returncode == 0, done.stderr
+    for stem in ("evaluate-init", "evaluate-volume"):
+        for path in heart_run.glob(f"{stem}.*"):
+            path.unlink()
+
+
+def test_stages_one_by_one_from_a_mesh_file(tmp_path: Path, cli: Cli) -> None:
+    vertices, triangles = sphere_mesh(3.0, 2)
+    path = write_obj(tmp_path / "ball.obj", vertices, triangles)
+    content = path.read_bytes()
+    for words in (
+        ["init", "ball.obj", "-n", 8, "--iterations", 10, "--target-samples", 3000],
+        ["sphere-train", "--iterations", 40, "--target-samples", 3000],
+        ["volume", "--inner", 10, "--cvt-iterations", 3],
+        ["evaluate", "--samples", 3000],
+        ["fabricate", "--height", 40, "--sides", 6, "--tube-diameter", 1],
+        ["report"],
+    ):
+        done = cli(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    run = tmp_path / "ball.vorolight"
+    assert path.read_bytes() == content
+    volume = json.loads((run / "volume.json").read_text())["metrics"]["enclosed_volume"]
+    assert volume == pytest.approx(4 / 3 * np.pi * 27, rel=0.1)
+    assert json.loads((run / "fabricate.json").read_text())["metrics"]["up"] == "y"
+    write_obj(path, vertices * 1.01, triangles)
+    done = cli("status", cwd=tmp_path)
+    assert "ball.obj changed" in done.stdout
+    done = cli("volume", "--inner", 10, "--cvt-iterations", 3, cwd=tmp_path)
+    assert done.returncode == 4
+    assert "ball.obj changed" in done.stderr
+
+
+def test_config_file_and_precedence(tmp_path: Path, cli: Cli) -> None:
+    (tmp_path / "a.toml").write_text("[classify]\nn_init = 7\n[init]\niterations = 3\n")
+    done = cli("init", "sphere", "--config", "a.toml", "--iterations", 2, "--json", cwd=tmp_path)
+    records = [json.loads(line) for line in done.stdout.splitlines()]
+    assert records[0]["params"]["n_init"] == 7
+    assert records[1]["params"]["iterations"] == 2
+    (tmp_path / "b.toml").write_text("[classify]\nresolution = 7\n")
+    done = cli("init", "sphere", "--config", "b.toml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "resolution" in done.stderr
+
+
+BAD = [
+    (["init", "missing.obj"], 3, "no such file"),
+    (["init", "empty.obj"], 3, "empty"),
+    (["init", "text.obj"], 3, "no surface"),
+    (["init", "nan.obj"], 3, "not finite"),
+    (["init", "points.obj"], 3, "no surface"),
+    (["init", "flat.obj"], 3, "flat"),
+    (["init", "heart", "-n", 4], 2, "from 5 to 512"),
+    (["init", "heart", "-n", 513], 2, "from 5 to 512"),
+    (["init", "heart", "-n", "many"], 2, "many"),
+    (["init", "heart", "--weight-shape", -1], 2, "at least 0"),
+    (["init", "heart", "--weight-shape", "nan"], 2, "must be a number"),
+    (["init", "heart", "--device", "abacus"], 2, "cpu or cuda"),
+    (["init", "heart", "--run", "unwritable/run"], 2, "cannot be created"),
+    (["sphere-train"], 4, "no run folder"),
+    (["sphere-train", "--run", "nowhere"], 4, "run: vorolight"),
+    (["init"], 4, "no run folder"),
+    (["run", "heart", "--until", "tomorrow"], 2, "must be one of"),
+    (["sample", "unicorn"], 2, "no such sample"),
+    (["status"], 4, "no run folder"),
+    (["report", "--run", "nowhere"], 4, "no stage is done"),
+]
+
+
+@pytest.mark.parametrize(("words", "code", "reason"), BAD, ids=lambda value: str(value)[:40])
+def test_bad_input(words: list[object], code: int, reason: str, tmp_path: Path, cli: Cli) -> None:
+    files = {
+        "empty.obj": "",
+        "text.obj": "Dear friend,\nthis is no mesh.\n",
+        "nan.obj": "v 0 0 nan\nv 1 0 0\nv 0 1 1\nf 1 2 3\n",
+        "points.obj": "v 0 0 0\nv 1 0 0\nv 0 1 1\n",
+        "flat.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+        "unwritable": "a file where a folder should be",
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_text(content)
+    before = snapshot(tmp_path)
+    done = cli(*words, cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+    assert snapshot(tmp_path) == before
+    assert {path.name for path in tmp_path.iterdir()} == set(files)
+
+
+def test_a_run_of_another_input_is_left_alone(heart_run: Path, cli: Cli) -> None:
+    before = snapshot(heart_run)
+    done = cli("init", "sphere", "--run", heart_run, cwd=heart_run.parent)
+    assert done.returncode == 4
+    assert "holds a run of heart" in done.stderr
+    assert snapshot(heart_run) == before
+
+
+def test_damaged_artifacts_are_refused(tmp_path: Path, cli: Cli) -> None:
+    assert cli("init", "sphere", "-n", 6, "--iterations", 2, cwd=tmp_path).returncode == 0
+    data = tmp_path / "sphere.vorolight" / "init.h5"
+    data.write_bytes(data.read_bytes()[:-100])
+    done = cli("sphere-train", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "init.h5 changed" in done.stderr
+    manifest = tmp_path / "sphere.vorolight" / "init.json"
+    manifest.write_text(manifest.read_text().replace('"stage": "init"', '"stage": "other"'))
+    done = cli("sphere-train", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "breaks its schema" in done.stderr
+
+
+def test_a_running_stage_holds_the_lock(tmp_path: Path, cli: Cli) -> None:
+    run = tmp_path / "sphere.vorolight"
+    run.mkdir()
+    holder = {"host": os.uname().nodename, "pid": os.getpid(), "start": 0}
+    (run / ".lock").write_text(json.dumps(holder))
+    done = cli("classify", "sphere", "-n", 6, cwd=tmp_path)
+    assert done.returncode == 75
+    assert str(os.getpid()) in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_killed_in_the_middle_of_training(number: signal.Signals, tmp_path: Path, cli: Cli) -> None:
+    start = ["init", "sphere", "-n", 7, "--iterations", 5, "--threads", 2]
+    words = ["sphere-train", "--iterations", 400, "--threads", 2]
+    for folder in ("undisturbed", "killed"):
+        (tmp_path / folder).mkdir()
+        assert cli(*start, cwd=tmp_path / folder).returncode == 0
+    assert cli(*words, cwd=tmp_path / "undisturbed").returncode == 0
+    command = [sys.executable, "-m", "vorolight.cli", *map(str, words)]
+    checkpoints = tmp_path / "killed" / "sphere.vorolight" / "checkpoints" / "sphere-train"
+    running = subprocess.Popen(command, cwd=tmp_path / "killed", stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not list(checkpoints.glob("0*.h5")) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    running.send_signal(number)
+    code = running.wait(timeout=60)
+    assert code == (-9 if number == signal.SIGKILL else 128 + number)
+    run = tmp_path / "killed" / "sphere.vorolight"
+    assert not (run / "sphere-train.json").exists()
+    assert list(checkpoints.glob("0*.h5"))
+    done = cli(*words, cwd=tmp_path / "killed")
+    assert done.returncode == 0, done.stderr
+    first, second = (
+        without_volatile(snapshot(tmp_path / name / "sphere.vorolight"))
+        for name in ("undisturbed", "killed")
+    )
+    assert first == second
+
+
+def test_sample_is_the_installed_file(tmp_path: Path, cli: Cli) -> None:
+    done = cli("sample", "cube", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.strip() == "cube.obj"
+    assert (tmp_path / "cube.obj").stat().st_size > 100
+    (tmp_path / "cube.obj").write_text("mine")
+    done = cli("sample", "cube", cwd=tmp_path)
+    assert done.returncode == 2
+    assert (tmp_path / "cube.obj").read_text() == "mine"

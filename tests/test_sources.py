@@ -1,0 +1,174 @@
+"""Inputs: fields, meshes, ray parity, voxels, reflection."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import random_rotation, sphere_mesh, torus_mesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vorolight.stages.artifacts.randomness import generator
+from vorolight.stages.errors import InputError
+from vorolight.stages.sources import voxels
+from vorolight.stages.sources.fields import FIELDS, FieldSource
+from vorolight.stages.sources.mesh import MeshSource
+from vorolight.stages.sources.mesh_file import load
+from vorolight.stages.sources.parity import RayParity
+from vorolight.stages.voronoi.interface import interface
+from vorolight.stages.voronoi.reflection import reflect
+
+
+def write_obj(path: Path, vertices: np.ndarray, faces: object) -> Path:
+    lines = ["v {:.17g} {:.17g} {:.17g}".format(*v) for v in vertices]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def classified(source: object, n: int) -> voxels.VoxelGrid:
+    return voxels.classify(source, n, lambda name, i: generator(0, "test", name, i))
+
+
+@given(st.integers(0, 10**6))
+def test_parity_is_the_inside_of_a_torus_however_it_is_turned(seed: int) -> None:
+    vertices, triangles = torus_mesh(1.0, 0.4, 48, 24)
+    turn = random_rotation(seed)
+    points = np.random.default_rng(seed).uniform(-1.5, 1.5, (2000, 3))
+    tube = np.hypot(np.hypot(points[:, 0], points[:, 1]) - 1, points[:, 2])
+    clear = np.abs(tube - 0.4) > 0.01  # the mesh lies within its chord's height of the torus
+    inside = RayParity(vertices @ turn.T, triangles, seed % 3).inside(points @ turn.T)
+    assert np.array_equal(inside[clear], (tube < 0.4)[clear])
+
+
+def test_parity_on_a_lattice_through_the_edges_of_a_cube(tmp_path: Path) -> None:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    source = MeshSource(write_obj(tmp_path / "cube.obj", corners, quads))
+    assert source.polygons.valences.tolist() == [4] * 6
+    assert source.polygons_kept
+    assert source.median_edge_length() == 1
+    axis = np.linspace(-0.5, 1.5, 9)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    boundary = np.isclose(points, 0) | np.isclose(points, 1)
+    clear = ~boundary.any(axis=1)
+    expected = ((points > 0) & (points < 1)).all(axis=1)
+    assert np.array_equal(source.inside(points)[clear], expected[clear])
+
+
+def test_parity_of_nested_spheres_and_no_triangles() -> None:
+    outer, faces = sphere_mesh(1.0)
+    inner, _ = sphere_mesh(0.5)
+    both = RayParity(np.concatenate([outer, inner]), np.concatenate([faces, faces + len(outer)]))
+    assert both.inside(np.array([[0, 0, 0], [0.7, 0, 0], [2, 0, 0]])).tolist() == [0, 1, 0]
+    nothing = RayParity(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    assert not nothing.inside(np.zeros((3, 3))).any()
+
+
+def test_open_meshes_take_a_vote_and_say_so(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh()
+    source = MeshSource(write_obj(tmp_path / "open.obj", vertices, triangles[5:]))
+    assert source.open_edges > 0
+    assert "not closed" in source.warnings()[0]
+    assert source.inside(np.array([[0.1, 0.2, 0.1], [2, 0, 0]])).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("name", sorted(FIELDS))
+def test_fields(name: str) -> None:
+    source = FieldSource(name)
+    low, high = source.bounding_box()
+    points = source.surface_samples(3000, np.random.default_rng(0))
+    assert np.abs(source.value(points)).max() < 1e-9
+    assert ((points > low) & (points < high)).all()
+    assert np.linalg.norm(points, axis=1).max() < FIELDS[name].radius
+    import torch
+
+    assert np.allclose(source.level(torch.tensor(points)).numpy(), source.value(points))
+
+
+def test_field_samples_are_uniform_by_area() -> None:
+    points = FieldSource("sphere").surface_samples(20_000, np.random.default_rng(1))
+    # Archimedes: the height of a uniform point on a sphere is uniform.
+    share = (points[:, 2] > 0.5).mean()
+    assert share == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 20_000))
+    assert np.allclose(FieldSource("sphere").mean_curvature(points), 1)
+
+
+def test_classified_sphere_has_its_volume_and_band() -> None:
+    grid = classified(FieldSource("sphere"), 24)
+    interior = grid.interior.sum() * grid.spacing**3
+    # "Any of 35 samples" adds about half a voxel all around.
+    assert 4 / 3 * np.pi < interior < 4 / 3 * np.pi * (1 + grid.spacing) ** 3
+    assert not (grid.interior & grid.exterior).any()
+    again = classified(FieldSource("sphere"), 24)
+    assert np.array_equal(grid.interior, again.interior)
+
+
+def test_classify_refuses_what_has_no_inside(tmp_path: Path) -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    source = MeshSource(write_obj(tmp_path / "one.obj", vertices, [[0, 1, 2], [0, 1, 3]]))
+    with pytest.raises(InputError, match="no sample is inside"):
+        classified(source, 8)
+
+
+def test_reflected_generators_make_a_closed_surface_near_the_shape() -> None:
+    source = FieldSource("torus")
+    grid = classified(source, 24)
+    generators, inside = reflect(grid)
+    surface = interface(generators, inside)
+    from vorolight.stages.surface.topology import topology
+
+    facts = topology(surface.mesh)
+    assert facts.closed
+    assert facts.euler_number == 0
+    assert np.unique(surface.generators).size == len(generators)
+    assert np.abs(source.value(surface.mesh.vertices)).max() < 2 * grid.spacing
+
+
+BAD = {
+    "missing.obj": (None, "no such file"),
+    "empty.obj": (b"", "empty"),
+    "text.obj": (b"Dear friend,\nthis is no mesh.\n", "no surface"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\n", "no surface"),
+    "word.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf one two three\n", "line 4"),
+    "short.obj": (b"v 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "fewer than three"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "not there"),
+    "nan.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "not finite"),
+    "flat.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "flat"),
+    "text.ply": (b"hello", "no PLY header"),
+    "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                b"property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
+                b"end_header\n0 0 0\n1 0 0\n", "not a readable PLY"),
+    "huge.ply": (b"ply\nformat binary_little_endian 1.0\nelement vertex 900000000\n"
+                 b"property float x\nproperty float y\nproperty float z\nelement face 9\n"
+                 b"property list uchar int vertex_indices\nend_header\n", "more elements"),
+    "short.stl": (b"solid nothing at all", "trimesh cannot read it|no surface"),
+    "paper.pdf": (b"%PDF", "not read"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(BAD))
+def test_bad_files_get_one_sentence(name: str, tmp_path: Path) -> None:
+    content, reason = BAD[name]
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=reason) as caught:
+        load(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert content is None or path.read_bytes() == content
+
+
+def test_formats_of_trimesh_are_read(tmp_path: Path) -> None:
+    import trimesh
+
+    vertices, triangles = sphere_mesh(1.0, 1)
+    for suffix in ("stl", "off", "glb", "ply", "obj"):
+        path = tmp_path / f"ball.{suffix}"
+        trimesh.Trimesh(vertices, triangles, process=False).export(path)
+        source = MeshSource(path)
+        assert source.open_edges == 0
+        assert source.inside(np.array([[0.0, 0, 0], [1.5, 0, 0]])).tolist() == [True, False]

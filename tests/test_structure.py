@@ -1,0 +1,142 @@
+"""The rules of the layout: layers, package list, schemas, size of modules."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from vorolight.schemas import build
+from vorolight.stages import standing
+from vorolight.stages.contract import options
+
+ROOT = Path(__file__).parent.parent
+FOLDERS = {"cli": "vorolight_cli", "stages": "stages", "schemas": "schemas"}
+# What every layer may use: the exceptions.
+LEAVES = {"errors"}
+
+
+def modules() -> list[Path]:
+    return [path for folder in FOLDERS.values() for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def imported(path: Path) -> set[str]:
+    """Absolute names of the project's modules that a module imports outside TYPE_CHECKING."""
+    name = next(
+        f"vorolight.{short}" for short, folder in FOLDERS.items() if path.is_relative_to(ROOT / folder)
+    )  # fmt: skip
+    top = ROOT / FOLDERS[name.split(".")[1]]
+    package = [*name.split("."), *path.relative_to(top).parent.parts]
+    tree = ast.parse(path.read_text())
+    ignored = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if id(node) in ignored:
+            continue
+        if isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            stem = ".".join([*base, *([node.module] if node.module else [])])
+            found |= {f"{stem}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {target for target in found if target.startswith("vorolight.")}
+
+
+def test_layers() -> None:
+    stage_modules = {path.stem for path in (ROOT / "stages").glob("*.py")} - {"__init__"}
+    faults = []
+    for path in modules():
+        for target in imported(path):
+            parts = target.split(".")
+            if path.is_relative_to(ROOT / "stages"):
+                if parts[1] == "cli":
+                    faults.append(f"{path}: {target}")
+                inside = path.parent != ROOT / "stages"
+                to_stage = len(parts) > 2 and parts[2] in stage_modules - LEAVES
+                if inside and parts[1] == "stages" and to_stage:
+                    faults.append(f"{path}: {target}")
+                stages = {name.replace("-", "_") for name in standing.ORDER}
+                if path.stem in stages and not inside and to_stage and parts[2] in stages:
+                    faults.append(f"{path}: {target}")
+    assert faults == []
+
+
+def test_every_package_is_listed_and_typed() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    listed = set(project["tool"]["setuptools"]["packages"])
+    there = set()
+    for short, folder in FOLDERS.items():
+        assert (ROOT / folder / "py.typed").is_file()
+        for path in (ROOT / folder).rglob("__init__.py"):
+            inner = path.parent.relative_to(ROOT / folder).parts
+            there.add(".".join(["vorolight", short, *inner]))
+    assert listed == there
+    assert not (ROOT / "vorolight" / "__init__.py").exists()
+
+
+def test_module_names_and_sizes() -> None:
+    for path in modules():
+        assert path.stem not in {"utils", "common", "helpers"}
+        assert len(path.read_text().splitlines()) <= 400, path
+
+
+def test_every_dependency_is_pinned() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    pinned = {
+        line.split("==")[0].lower()
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line
+    }
+    assert {entry.split(">=")[0].lower() for entry in wanted} <= pinned
+    assert all(">=" in entry for entry in wanted)
+
+
+@pytest.mark.parametrize("name", standing.ORDER)
+def test_schema_files_are_those_of_the_params(name: str) -> None:
+    stored = (ROOT / "schemas" / f"{name}.json").read_text()
+    assert stored == build.encode(build.stage_schema(name)), "run: make schemas"
+    assert json.loads(stored)["$id"].endswith(name)
+
+
+@pytest.mark.parametrize("name", standing.ORDER)
+def test_every_option_is_explained(name: str) -> None:
+    for option in options(standing.get(name).params):
+        assert option.meaning.endswith("."), option.name
+
+
+def test_help_does_not_import_the_heavy_libraries() -> None:
+    program = (
+        "import sys; sys.argv = ['vorolight', '--help']\n"
+        "from vorolight.cli.app import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'torch', 'scipy', 'trimesh', 'pymeshlab', 'numpy', 'h5py', 'manifold3d'}\n"
+        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stderr.strip() == "[]"
+    for command in ("init", "sphere-train", "fabricate", "sample", "status"):
+        assert command in done.stdout
+
+
+def test_wheel_holds_everything(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "build", "--wheel", "--outdir", str(tmp_path), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    names = set(zipfile.ZipFile(next(tmp_path.glob("*.whl"))).namelist())
+    for short, folder in FOLDERS.items():
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in {".py", ".json"} or path.name == "py.typed":
+                assert f"vorolight/{short}/{path.relative_to(ROOT / folder).as_posix()}" in names

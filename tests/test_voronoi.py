@@ -1,0 +1,231 @@
+"""Diagrams: interfaces, cells, gradients, degenerate input, conformity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from conftest import random_rotation, sphere_mesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vorolight.stages.errors import NumericalFailure
+from vorolight.stages.surface import geometry
+from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.topology import topology
+from vorolight.stages.voronoi.cells import cell_centroids, open_cells, polyhedral_mesh
+from vorolight.stages.voronoi.cleanup import clean
+from vorolight.stages.voronoi.conformity import conformity
+from vorolight.stages.voronoi.delaunay import delaunay
+from vorolight.stages.voronoi.interface import interface, without_islands
+from vorolight.stages.voronoi.interior import Guard, lloyd_step, sample
+from vorolight.stages.voronoi.pairs import label_pairs
+from vorolight.stages.voronoi.unchanged import same_surface
+from vorolight.stages.voronoi.vertices import circumcentres, voronoi_vertices
+
+
+def ball(seed: int = 0, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    return points, np.linalg.norm(points, axis=1) < 0.6
+
+
+def sphere_pairs(
+    level: int = 2, radius: float = 0.25
+) -> tuple[PolygonMesh, np.ndarray, np.ndarray]:
+    """Triangles of a sphere with exact pairs: where equal spheres at their corners meet."""
+    mesh = PolygonMesh.of_triangles(*sphere_mesh(1.0, level))
+    a, b, c = (mesh.vertices[mesh.face_vertices.reshape(-1, 3)[:, k]] for k in range(3))
+    _, normal, _ = geometry.face_frames(mesh)
+    ab, ac = b - a, c - a
+    cross = np.cross(ab, ac)
+    arm = np.cross(cross, ab) * (ac**2).sum(1, keepdims=True)
+    arm = arm + np.cross(ac, cross) * (ab**2).sum(1, keepdims=True)
+    arm = arm / (2 * (cross**2).sum(1, keepdims=True))
+    offset = np.sqrt(radius**2 - (arm**2).sum(1, keepdims=True))
+    return mesh, a + arm - offset * normal, a + arm + offset * normal
+
+
+@given(st.integers(0, 10**6))
+def test_interface_of_random_labels_is_closed(seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-1, 1, (400, 3))
+    labels = np.random.default_rng(seed + 1).random(400) < 0.5
+    labels &= np.abs(points).max(axis=1) < 0.6
+    surface = interface(points, labels)
+    assert topology(surface.mesh).closed
+    area, normal, _ = geometry.face_frames(surface.mesh)
+    ahead = points[surface.generators[:, 1]] - points[surface.generators[:, 0]]
+    solid = area > 1e-12
+    assert (np.einsum("ij,ij->i", normal, ahead)[solid] > 0).all()
+
+
+def test_interface_vertices_are_equidistant_and_empty() -> None:
+    points, labels = ball()
+    surface = interface(points, labels)
+    distance = np.linalg.norm(points[surface.tetrahedra] - surface.mesh.vertices[:, None], axis=2)
+    assert np.allclose(distance, distance[:, :1], rtol=1e-6)
+    from scipy.spatial import cKDTree
+
+    nearest, _ = cKDTree(points).query(surface.mesh.vertices)
+    assert np.allclose(nearest, distance[:, 0], rtol=1e-6)
+
+
+def test_interface_is_that_of_scipys_voronoi() -> None:
+    from scipy.spatial import Voronoi
+
+    points, labels = ball(3)
+    other = Voronoi(points)
+    mixed = labels[other.ridge_points[:, 0]] != labels[other.ridge_points[:, 1]]
+    theirs = {frozenset(pair) for pair in other.ridge_points[mixed].tolist()}
+    ours = {frozenset(pair) for pair in interface(points, labels).generators.tolist()}
+    assert ours == theirs
+
+
+@given(st.integers(0, 10**6), st.integers(-20, 20))
+def test_interface_turns_and_scales(seed: int, power: int) -> None:
+    points, labels = ball(5, 600)
+    before = interface(points, labels)
+    turned = interface(points @ random_rotation(seed).T, labels)
+    assert np.array_equal(np.sort(before.generators, 0), np.sort(turned.generators, 0))
+    scaled = interface(points * 2.0**power, labels)
+    assert np.array_equal(scaled.mesh.vertices, before.mesh.vertices * 2.0**power)
+    assert np.array_equal(scaled.mesh.face_vertices, before.mesh.face_vertices)
+
+
+def test_voronoi_vertices_gradient_against_finite_differences() -> None:
+    random = np.random.default_rng(2)
+    points = torch.tensor(random.random((6, 3)), requires_grad=True)
+    tetrahedra = torch.tensor([[0, 1, 2, 3], [5, 2, 4, 1]])
+    assert torch.autograd.gradcheck(lambda x: voronoi_vertices(x, tetrahedra), points)
+    ours = voronoi_vertices(points, tetrahedra).detach().numpy()
+    assert np.allclose(ours, circumcentres(points.detach().numpy(), tetrahedra.numpy())[0])
+
+
+def test_what_qhull_cannot_be_given_is_refused() -> None:
+    points, _ = ball(0, 50)
+    with pytest.raises(NumericalFailure, match="coincide"):
+        delaunay(np.concatenate([points, points[:1]]))
+    with pytest.raises(NumericalFailure, match="not finite"):
+        delaunay(np.concatenate([points, [[np.nan, 0, 0]]]))
+    with pytest.raises(NumericalFailure, match="too few"):
+        delaunay(points[:4])
+    with pytest.raises(NumericalFailure, match="Qhull"):
+        delaunay(points * [1, 1, 0] + [0, 0, 1])
+
+
+def test_an_interface_that_reaches_the_hull_is_refused() -> None:
+    points, _ = ball(0, 100)
+    with pytest.raises(NumericalFailure, match="unbounded"):
+        interface(points, points[:, 0] > 0)
+
+
+@pytest.mark.parametrize("radius", [0.22, 0.28])
+def test_clean_interface_of_exact_pairs_is_the_trained_surface(radius: float) -> None:
+    mesh, inside, outside = sphere_pairs(2, radius)
+    count = mesh.face_count
+    raw = interface(np.concatenate([inside, outside]), np.arange(2 * count) < count)
+    result = clean(raw, spacing=0.3)
+    assert topology(result.mesh).closed
+    assert result.mesh.face_count == count
+    assert np.array_equal(result.generators[:, 0], result.generators[:, 1] - count)
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(mesh.vertices).query(result.mesh.vertices)
+    assert distance.max() < 1e-12
+
+
+@pytest.mark.parametrize("merge", [1e-8, 1e-6, 1e-3, 1e-1])
+@pytest.mark.parametrize("flat", [1e-12, 1e-9, 1e-4])
+def test_clean_up_never_opens_a_surface(merge: float, flat: float) -> None:
+    points, labels = ball(7, 800)
+    assert topology(clean(interface(points, labels), 0.2, flat, merge).mesh).closed
+    mesh, inside, outside = sphere_pairs(1, 0.45)
+    count = mesh.face_count
+    raw = interface(np.concatenate([inside, outside]), np.arange(2 * count) < count)
+    assert topology(clean(raw, 0.5, flat, merge).mesh).closed
+
+
+def test_conformity_of_exact_pairs_and_of_a_moved_one() -> None:
+    mesh, inside, outside = sphere_pairs(2, 0.25)
+    count = mesh.face_count
+
+    radii = np.full(mesh.vertex_count, 0.25)
+    owner = np.arange(2 * count) % count
+
+    def measure(inner: np.ndarray) -> object:
+        raw = interface(np.concatenate([inner, outside]), np.arange(2 * count) < count)
+        return conformity(raw, owner, mesh, radii, inner, outside, 0.3)
+
+    exact = measure(inside)
+    assert exact.pair_faces == count
+    assert exact.pair_area_share == pytest.approx(1, abs=1e-9)
+    moved = inside.copy()
+    moved[0] *= 0.9
+    worse = measure(moved)
+    assert worse.pair_area_share < 1 - 1e-5
+    assert worse.residual_max > 100 * exact.residual_max + 1e-6
+
+
+def test_pairs_are_labelled_by_the_inside_not_by_the_normal() -> None:
+    mesh, inside, outside = sphere_pairs(1, 0.45)
+    ahead, behind = outside.copy(), inside.copy()
+    ahead[3], behind[3] = inside[3], outside[3]
+    pairs = label_pairs(mesh, ahead, behind)
+    assert np.array_equal(pairs.inside, inside)
+    assert np.array_equal(pairs.outside, outside)
+    assert (pairs.relabelled, pairs.undecided) == (1, 0)
+
+
+def test_specks_are_removed() -> None:
+    points, labels = ball(11, 3000)
+    corner = np.argmin(np.linalg.norm(points - 0.8, axis=1))
+    middle = np.argmin(np.linalg.norm(points, axis=1))
+    noisy = labels.copy()
+    noisy[corner], noisy[middle] = True, False
+    assert topology(interface(points, noisy).mesh).components == 3
+    left, kept, gone = without_islands(points, noisy, smallest=0.05)
+    assert gone == 2
+    assert topology(interface(left, kept).mesh).components == 1
+
+
+def test_cells_fill_the_surface_they_are_in() -> None:
+    points, labels = ball(13)
+    diagram = delaunay(points)
+    surface = interface(points, labels, diagram)
+    cells = polyhedral_mesh(points, labels, diagram)
+    assert open_cells(cells) == 0
+    assert len(cells.cell_generator) == labels.sum()
+    enclosed = geometry.enclosed_volume(*geometry.fan_triangles(surface.mesh)[:2])
+    assert cells.cell_volume.sum() == pytest.approx(enclosed, rel=1e-9)
+    assert (cells.cell_volume > 0).all()
+    boundary = cells.faces.select_faces(cells.neighbour < 0).without_unused_vertices()
+    assert topology(boundary) == topology(surface.mesh)
+
+
+def test_cell_centroid_of_a_symmetric_cell() -> None:
+    grid = np.stack(np.meshgrid(*[[-1.0, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    order = np.argsort(np.linalg.norm(grid, axis=1), kind="stable")
+    jitter = 1e-6 * np.random.default_rng(0).normal(size=grid.shape)  # general position
+    volume, centroid = cell_centroids((grid + jitter)[order], 1)
+    assert volume[0] == pytest.approx(1, abs=1e-4)
+    assert np.allclose(centroid, 0, atol=1e-4)
+
+
+def test_inner_generators_leave_the_surface_alone() -> None:
+    points, labels = ball(17, 4000)
+    before = interface(points, labels)
+    shell = np.unique(before.generators)  # only these touch the surface: room inside
+    points, labels = points[shell], labels[shell]
+    before = interface(points, labels)
+    guard = Guard.of(points, labels, before)
+    inner = sample(guard, 40, lambda _, i: np.random.default_rng(i), 1, lambda _: None)
+    first = None
+    for _ in range(12):
+        inner, squares = lloyd_step(guard, inner, 1)
+        first = squares if first is None else first
+    assert squares < 0.2 * first
+    everything = np.concatenate([inner, points])
+    after = interface(everything, np.concatenate([np.ones(40, bool), labels]))
+    assert same_surface(before, after, points, 40) is None
+    intruder = np.concatenate([before.mesh.vertices[:1] * 0.999, points])
+    spoilt = interface(intruder, np.concatenate([[True], labels]))
+    assert same_surface(before, spoilt, points, 1) is not None
