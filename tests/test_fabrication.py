@@ -79,14 +79,14 @@ def test_mm_from_input_is_a_rotation_with_the_asked_height(up: str) -> None:
 
 def test_the_cavity_is_where_there_is_room() -> None:
     ball = PolygonMesh.of_triangles(*sphere_mesh(60.0, 3))
-    raised = ball.with_vertices(ball.vertices + [7, 0, 50])
+    raised = ball.with_vertices(ball.vertices + np.array([7, 0, 50]))
     light = lamp.Light(38, 20, 0.5, 1.6)
     place = lamp.find_room(raised, light)
     # The ball cut 10 mm above its lowest point; the narrowest slice is the lowest one.
     assert place.x == pytest.approx(7, abs=2)
     assert place.y == pytest.approx(0, abs=2)
     assert 28 < place.room < np.sqrt(60**2 - 50**2)
-    small = ball.with_vertices(0.2 * ball.vertices + [0, 0, 11])
+    small = ball.with_vertices(0.2 * ball.vertices + np.array([0, 0, 11]))
     assert lamp.find_room(small, light).room < light.cavity_radius
 
 

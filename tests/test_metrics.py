@@ -61,6 +61,6 @@ def test_chamfer_of_one_surface_is_its_sampling_floor() -> None:
     found = chamfer.chamfer(one, two, 0.01, area)
     assert found.cd2 == pytest.approx(found.sampling_floor, rel=0.05)
     assert found.f1 == pytest.approx(1, abs=1e-3)
-    apart = chamfer.chamfer(one, two + [0.5, 0, 0], 0.01, area)
+    apart = chamfer.chamfer(one, two + np.array([0.5, 0, 0]), 0.01, area)
     assert apart.f1 < 0.1
     assert apart.cd2 > 0.02

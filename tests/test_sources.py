@@ -107,8 +107,8 @@ def test_classified_sphere_has_its_volume_and_band() -> None:
 
 
 def test_classify_refuses_what_has_no_inside(tmp_path: Path) -> None:
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    source = MeshSource(write_obj(tmp_path / "one.obj", vertices, [[0, 1, 2], [0, 1, 3]]))
+    vertices = np.array([[0, 0, 0], [1, 0, 0.3], [0.2, 1, 0.7]])
+    source = MeshSource(write_obj(tmp_path / "leaf.obj", vertices, [[0, 1, 2], [2, 1, 0]]))
     with pytest.raises(InputError, match="no sample is inside"):
         classified(source, 8)
 

@@ -29,8 +29,10 @@ def modules() -> list[Path]:
 def imported(path: Path) -> set[str]:
     """Absolute names of the project's modules that a module imports outside TYPE_CHECKING."""
     name = next(
-        f"vorolight.{short}" for short, folder in FOLDERS.items() if path.is_relative_to(ROOT / folder)
-    )  # fmt: skip
+        f"vorolight.{short}"
+        for short, folder in FOLDERS.items()
+        if path.is_relative_to(ROOT / folder)
+    )
     top = ROOT / FOLDERS[name.split(".")[1]]
     package = [*name.split("."), *path.relative_to(top).parent.parts]
     tree = ast.parse(path.read_text())

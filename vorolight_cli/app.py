@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import signal
 import sys
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from vorolight.stages import pipeline, standing
+from vorolight.stages.artifacts import lock
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import GateFailure, UsageError, VorolightError
@@ -147,7 +149,7 @@ def guarded(function: Function) -> Function:
                 raise
             print(f"vorolight: {error}", file=sys.stderr)
             raise typer.Exit(error.exit_code) from None
-        except (typer.Exit, KeyboardInterrupt):
+        except typer.Exit:
             raise
         # Whatever else arrives here is a fault of ours; the user still gets one sentence.
         except Exception as error:
@@ -193,9 +195,9 @@ def _stage_command(name: str) -> None:
     def command(**given: Any) -> None:
         strict = name == "evaluate" and _taken(_strict, given)
         common = _taken(_common, given)
+        params = build(stage, given, common.config, names[name])
         if name == "init" and _classify_first(common, given, names["classify"]):
             return
-        params = build(stage, given, common.config, names[name])
         _execute(common, name, params)
         if strict and not common.dry_run:
             _gates(common.session, params)
@@ -357,7 +359,11 @@ _build()
 
 
 def _stop(number: int, frame: object) -> None:
-    raise SystemExit(128 + number)
+    """End at once. No unwinding: an exception thrown into torch's kernels crashes the process, and
+    every file is either whole or not there."""
+    lock.release_all()
+    os.write(2, b"\nvorolight: stopped; the same command resumes\n")
+    os._exit(128 + number)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from ..errors import Locked, UsageError
 from .atomic import process_runs
 
 NAME = ".lock"
+_HELD: set[Path] = set()
 
 
 @contextmanager
@@ -38,9 +39,17 @@ def locked(folder: Path) -> Iterator[list[str]]:
         with os.fdopen(handle, "w") as stream:
             stream.write(mine)
         break
+    _HELD.add(path)
     try:
         yield warnings
     finally:
+        _HELD.discard(path)
+        path.unlink(missing_ok=True)
+
+
+def release_all() -> None:
+    """Give up every lock of this process, for one that ends without unwinding."""
+    for path in _HELD:
         path.unlink(missing_ok=True)
 
 
