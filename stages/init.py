@@ -8,7 +8,7 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
@@ -30,6 +30,8 @@ class Params(contract.Params):
     """Weight of area uniformity."""
     weight_centroid: Positive = 0.1
     """Weight of centroid alignment."""
+    field_loss: Literal["distance", "level-set"] = "distance"
+    """For fields: the distance to first order, or the paper's level-set loss."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
 
@@ -64,9 +66,7 @@ def run(context: Context) -> Outcome:
     start, inside = reflect(grid)
     generators = torch.tensor(frame.model_from_input(start), device=context.device)
     generators.requires_grad_(True)
-    shape_loss = shape.for_source(
-        context.source(), frame, params.target_samples, context.random("target"), context.threads
-    )
+    shape_loss = shape.for_source(context, frame)
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:
         here = generators.detach().cpu().numpy()

@@ -8,7 +8,7 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
@@ -39,6 +39,8 @@ class Params(contract.Params):
     """Weight of the shape loss."""
     weight_normal: Positive = 0.1
     """Weight of normal consistency."""
+    field_loss: Literal["distance", "level-set"] = "distance"
+    """For fields: the distance to first order, or the paper's level-set loss."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
 
@@ -77,9 +79,7 @@ def run(context: Context) -> Outcome:
     }  # fmt: skip
     centres, radii, offsets = parameters.values()
     connectivity = Connectivity.of(mesh, context.device)
-    shape_loss = shape.for_source(
-        context.source(), frame, params.target_samples, context.random("target"), context.threads
-    )
+    shape_loss = shape.for_source(context, frame)
     near: list[torch.Tensor] = []
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:

@@ -105,6 +105,21 @@ def test_level_set_is_in_units_of_the_spacing() -> None:
     assert torch.autograd.gradcheck(lambda x: loss(x, True), model)
 
 
+def test_first_order_distance_of_a_scaled_field_is_the_distance() -> None:
+    source = FieldSource("sphere")
+    model = torch.tensor(FRAME.model_from_input(np.array([[1.2, 0, 0], [0, 0.9, 0]])))
+    model.requires_grad_(True)
+    plain = shape.first_order_distance(source.level, FRAME)(model, True)
+    steep = shape.first_order_distance(lambda x: 50 * source.level(x), FRAME)(model, True)
+    assert float(plain.detach()) == pytest.approx((0.2**2 + 0.1**2) / 2 / 0.25**2)
+    assert float(steep.detach()) == pytest.approx(float(plain.detach()))
+    # Where |grad F| is constant the gradient is that of the level-set loss.
+    level = shape.level_set(source.level, FRAME)(model, True)
+    ours, theirs = (torch.autograd.grad(loss, model)[0] for loss in (plain, level))
+    assert torch.allclose(ours, theirs)
+    assert torch.allclose(torch.autograd.grad(steep, model)[0], theirs)
+
+
 def test_chamfer() -> None:
     target = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0.0]])
     loss = shape.Chamfer(target, 1)

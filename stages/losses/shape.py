@@ -18,7 +18,7 @@ from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats
 
 if TYPE_CHECKING:
-    from ..sources.protocol import Source
+    from ..contract import Context
 
 ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
 """``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
@@ -29,16 +29,41 @@ def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:
     return torch.cat([vertices, frames.centroid, frames.fan_centres])
 
 
-def for_source(
-    source: Source, frame: ModelFrame, target_samples: int, random: Any, threads: int
-) -> ShapeLoss:
-    """The paper's loss for the kind of ``source``: level set for fields, Chamfer for meshes."""
+def for_source(context: Context, frame: ModelFrame) -> ShapeLoss:
+    """The loss that a stage's parameters ask for: for fields or, by Chamfer, for meshes."""
     from ..sources.fields import FieldSource
 
+    source, params = context.source(), context.params
     if isinstance(source, FieldSource):
-        return level_set(source.level, frame)
-    target = source.surface_samples(target_samples, random)
-    return Chamfer(frame.model_from_input(target), threads)
+        return (level_set if params.field_loss == "level-set" else first_order_distance)(
+            source.level, frame
+        )
+    target = source.surface_samples(params.target_samples, context.random("target"))
+    return Chamfer(frame.model_from_input(target), context.threads)
+
+
+def first_order_distance(
+    level: Callable[[torch.Tensor], torch.Tensor], frame: ModelFrame
+) -> ShapeLoss:
+    """``mean (F / |grad F|)^2 / h0^2``: the distance to the surface to first order (Taubin 1994).
+
+    A field that is flat at its surface, as the heart's is at its tip, hardly holds a surface by
+    its level set; this loss does. Its gradient takes ``|grad F|`` as fixed.
+    """
+    origin, spacing = torch.as_tensor(frame.origin), frame.spacing
+
+    def loss(samples: torch.Tensor, refresh: bool) -> torch.Tensor:
+        at = (origin.to(samples.device) + spacing * samples.detach()).requires_grad_(True)
+        value = level(at)
+        (slope,) = torch.autograd.grad(value.sum(), at)
+        steepness = torch.linalg.vector_norm(slope, dim=1).clamp(min=1e-12)
+        direction = slope / steepness[:, None]
+        distance = value.detach() / steepness / spacing
+        # Zero in value, the direction in gradient: the field is evaluated only once.
+        moved = ((samples - samples.detach()) * direction).sum(1)
+        return torch.mean((distance + moved) ** 2)
+
+    return loss
 
 
 def level_set(level: Callable[[torch.Tensor], torch.Tensor], frame: ModelFrame) -> ShapeLoss:
