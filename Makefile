@@ -15,9 +15,11 @@ COMMON = --run $(RUN) --seed $(SEED) --threads $(THREADS)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DELETE_ON_ERROR:
+# The stages of one run share a folder and its lock; each of them uses all threads itself.
+.NOTPARALLEL:
 .PHONY: lamp run test test-all check schemas pictures clean always
 
-lamp: bunny.obj
+lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
 	@echo "The lamp: $(RUN)/fabricate.stl   What was measured: $(RUN)/report.html"
 
@@ -26,7 +28,8 @@ run: $(RUN)/report.html
 bunny.obj airplane.obj cow.obj bone.ply: | $(VENV)/installed
 	$(BIN)/vorolight sample $(basename $@)
 
-$(RUN)/classify.json: $(wildcard $(INPUT)) always | $(VENV)/installed
+SAMPLE = $(filter bunny.obj airplane.obj cow.obj bone.ply,$(INPUT))
+$(RUN)/classify.json: $(SAMPLE) $(wildcard $(INPUT)) always | $(VENV)/installed
 	@$(BIN)/vorolight classify $(INPUT) -n $(N) $(COMMON)
 $(RUN)/init.json: $(RUN)/classify.json always
 	@$(BIN)/vorolight init $(COMMON)
@@ -59,7 +62,7 @@ test-all: $(VENV)/tested-with
 check: $(VENV)/tested-with
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	rm -rf build/check && mkdir -p build/check
+	rm -rf build && mkdir -p build/check
 	$(BIN)/python -m pip wheel --quiet --no-deps -w build/check/dist .
 	$(BIN)/python -m pip install --quiet --no-deps --target build/check/site build/check/dist/*.whl
 	cd build/check && MYPYPATH=site ../../$(BIN)/mypy --config-file ../../pyproject.toml \
@@ -72,12 +75,12 @@ schemas: $(VENV)/installed
 	$(BIN)/python -m vorolight.schemas.build
 
 # The pictures of the README, from runs of the tool itself.
-pictures: bunny.obj
+pictures: | $(VENV)/installed
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
 	@$(MAKE) --no-print-directory run INPUT=heart
 	$(BIN)/vorolight report --run bunny.vorolight --pictures examples
 	$(BIN)/vorolight report --run heart.vorolight --pictures examples
 
 clean:
-	rm -rf build *.vorolight bunny.obj
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 always:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -84,8 +85,8 @@ class Option:
             converted = self.type(value)
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{flag} {value}: must be {self.type.__name__}") from None
-        if self.type is float and converted != converted:
-            raise UsageError(f"{flag} {value}: must be a number")
+        if self.type is float and not math.isfinite(converted):
+            raise UsageError(f"{flag} {value}: must be a finite number")
         if self.limits is not None and not self.limits.holds(converted):
             raise UsageError(f"{flag} {value}: must be {self.limits}")
         return converted
@@ -251,8 +252,8 @@ class Stage:
     """Whether the input itself, beyond what the parents hold, decides its result."""
     stem: Callable[[Any], str] | None = None
     """File name of its artifacts when it is not the stage's name."""
-    extra_inputs: Callable[[Any], dict[str, Path]] = lambda params: {}
-    """Further files it reads, by role."""
+    extra_inputs: Callable[[Any], dict[str, str]] = lambda params: {}
+    """Further inputs it reads, by role: files or names of built-in fields."""
 
     def stem_of(self, params: Any) -> str:
         return self.stem(params) if self.stem else self.name

@@ -8,7 +8,6 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from . import contract
@@ -25,7 +24,7 @@ class Params(contract.Params):
     of: Literal["init", "sphere-train", "volume"] = "sphere-train"
     """The stage whose surface is measured."""
     reference: str | None = None
-    """A mesh to compare with; default: the input of the run."""
+    """A mesh file or built-in field to compare with; default: the input of the run."""
     samples: Annotated[int, Range(1000, 10_000_000)] = 50_000
     """Points on each surface."""
     threshold: Annotated[float, Range(1e-6, 1)] = 0.01
@@ -39,14 +38,14 @@ def run(context: Context) -> Outcome:
     from .export import ply
     from .metrics import chamfer, curvature
     from .sources.fields import FieldSource
-    from .sources.mesh import MeshSource
+    from .sources.resolve import identify
     from .surface import geometry
     from .surface.topology import topology
 
     params, threads = context.params, context.threads
     mesh = _surface(context, params.of)
     source: Any = (
-        context.source() if params.reference is None else MeshSource(Path(params.reference))
+        context.source() if params.reference is None else identify(params.reference).open()
     )
     context.progress.start("evaluate", 4)
     vertices, triangles, _ = geometry.fan_triangles(mesh)
@@ -55,14 +54,23 @@ def run(context: Context) -> Outcome:
         vertices, triangles, params.samples, random("predicted")
     )
     reference = source.surface_samples(params.samples, random("reference"))
-    low, high = reference.min(axis=0), reference.max(axis=0)
-    diagonal = float(np.linalg.norm(high - low))
+    field = source if isinstance(source, FieldSource) else None
     area = float(geometry.triangle_areas(vertices, triangles).sum())
+    if field is None:
+        low, high = source.bounding_box()
+        true_area = float(geometry.triangle_areas(source.vertices, source.triangles).sum())
+    else:  # a field's box is what is searched, not the shape's; its area is not known
+        low, high = reference.min(axis=0), reference.max(axis=0)
+        true_area = area
+    diagonal = float(np.linalg.norm(high - low))
     distances = chamfer.chamfer(
-        predicted / diagonal, reference / diagonal, params.threshold, area / diagonal**2, threads
+        predicted / diagonal,
+        reference / diagonal,
+        params.threshold,
+        true_area / diagonal**2,
+        threads,
     )
     context.progress.advance(1)
-    field = source if isinstance(source, FieldSource) else None
     spacing = float(context.arrays("classify")["spacing"])
     radius = spacing if field else 2.0 * source.median_edge_length()
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, threads)
@@ -200,8 +208,8 @@ def failed_gates(metrics: dict[str, Any]) -> list[str]:
     return [name for name, held in metrics["gates"].items() if held is False]
 
 
-def _extra(params: Params) -> dict[str, Path]:
-    return {} if params.reference is None else {"reference": Path(params.reference)}
+def _extra(params: Params) -> dict[str, str]:
+    return {} if params.reference is None else {"reference": params.reference}
 
 
 STAGE = Stage(

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 
 from . import contract
 from .contract import Context, Outcome, Range, Share, Stage
+from .errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -50,33 +51,52 @@ class Params(contract.Params):
     layer: Annotated[float, Range(0.02, 1)] = 0.2
     """Layer height in mm; plates must be two of them thick."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.diameter < 2 * self.nozzle:
+            raise UsageError(
+                f"--tube-diameter {self.diameter:g}: thinner than two nozzles "
+                f"({2 * self.nozzle:g} mm); raise it"
+            )
+        if self.height < 4 * self.diameter:
+            raise UsageError(
+                f"--height {self.height:g}: less than four tube diameters; raise --height or "
+                "lower --tube-diameter"
+            )
+        if self.lamp and self.plates > 0 and self.plate_thickness < 2 * self.layer:
+            raise UsageError(
+                f"--plate-thickness {self.plate_thickness:g}: thinner than two layers; raise it"
+            )
+        if self.lamp and self.plates > 0 and self.plate_thickness > self.diameter:
+            raise UsageError(
+                f"--plate-thickness {self.plate_thickness:g}: thicker than the tubes "
+                f"({self.diameter:g} mm) that hold the plates; lower it"
+            )
+        if self.lamp and self.led_height > self.height / 2:
+            raise UsageError(
+                f"--led-height {self.led_height:g}: higher than half the lamp; lower it or raise "
+                "--height"
+            )
+
+    @property
+    def diameter(self) -> float:
+        """Tube diameter in mm."""
+        default = round(3 * self.nozzle, 6)
+        return default if self.tube_diameter is None else self.tube_diameter
+
 
 def run(context: Context) -> Outcome:
     """Fabrication as in the paper's appendix E.2; draws the trained polygons, not the interface."""
     import numpy as np
 
-    from .errors import NumericalFailure, UsageError
+    from .errors import NumericalFailure
     from .export import ply, stl
     from .fabrication import assembly, lamp, plates, tubes
     from .sources.resolve import up_axis
     from .surface.polygons import PolygonMesh
 
     params = context.params
-    diameter = round(3 * params.nozzle, 6) if params.tube_diameter is None else params.tube_diameter
-    if diameter < 2 * params.nozzle:
-        raise UsageError(
-            f"--tube-diameter {diameter:g}: thinner than two nozzles ({2 * params.nozzle:g} mm); "
-            "raise it"
-        )
-    if params.lamp and params.plates > 0 and params.plate_thickness < 2 * params.layer:
-        raise UsageError(
-            f"--plate-thickness {params.plate_thickness:g}: thinner than two layers; raise it"
-        )
-    if params.lamp and params.plate_thickness > diameter:
-        raise UsageError(
-            f"--plate-thickness {params.plate_thickness:g}: thicker than the tubes "
-            f"({diameter:g} mm) that hold the plates; lower it"
-        )
+    diameter = params.diameter
     trained = context.arrays("sphere-train")
     polygons, surface = (
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")

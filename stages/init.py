@@ -13,6 +13,9 @@ from typing import Annotated, Literal
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
 
+JITTER = 1e-3
+"""Standard deviation of what is added to the first generators, in voxels."""
+
 
 @dataclass(frozen=True)
 class Params(contract.Params):
@@ -64,6 +67,10 @@ def run(context: Context) -> Outcome:
     )
     frame = ModelFrame.of(stored)
     start, inside = reflect(grid)
+    # Mirrored in a flat face the lattice of voxel centres goes on as a lattice, whose tetrahedra
+    # have no circumcentre to differentiate; a thousandth of a voxel off it they do.
+    jitter = context.random("jitter").standard_normal(start.shape)
+    start = start + JITTER * grid.spacing * jitter
     generators = torch.tensor(frame.model_from_input(start), device=context.device)
     generators.requires_grad_(True)
     shape_loss = shape.for_source(context, frame)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import shlex
+import shutil
 import socket
 import sys
 import time
@@ -17,7 +18,7 @@ from vorolight import schemas
 from .artifacts import atomic, fingerprint, lock, manifest, randomness
 from .artifacts.run_folder import RunFolder
 from .contract import Context, Params, Stage, options
-from .errors import ArtifactError, BackendMissing, InputError, UsageError, VorolightError
+from .errors import ArtifactError, BackendMissing, InputError, UsageError
 from .sources.resolve import Identity, identify
 from .standing import (
     BACKEND,
@@ -45,23 +46,14 @@ def execute(session: Session, name: str, params: Params) -> Result:
     """Run a stage unless its result stands; its parents must stand.
 
     Raises ArtifactError when a parent is missing or stale, and whatever the stage raises. Nothing
-    is left of a stage that failed but its checkpoints.
+    is left of a stage that failed but its checkpoints; an older result of it stays.
     """
     check_same_input(session.folder, session.input)
     _check_device(session.device)
     stage = get(name)
-    for parent in stage.parents(params):
-        found = state(session, parent)
-        if not found.done:
-            raise ArtifactError(
-                f"{session.folder.path}: stage {parent} is not up to date ({found.reason}); "
-                f"run: vorolight {parent}"
-            )
-    now = state(session, name, params)
-    if now.done and not session.force and now.manifest is not None:
-        if session.touch:
-            os.utime(session.folder.file(stage.stem_of(params), "json"))
-        return Result(now.manifest, ran=False, reason=None)
+    found = _standing(session, stage, params)
+    if found is not None:
+        return found
     source = session.input or recorded_input(session.folder)
     if source is None:
         raise UsageError("give an INPUT: a mesh file or the name of a built-in field")
@@ -70,16 +62,39 @@ def execute(session: Session, name: str, params: Params) -> Result:
         sources: Callable[[], Any] = lambda: opened  # noqa: E731
     else:
         sources = partial(_open_recorded, session.folder, source)
-    created = not session.folder.path.exists()
+    created = [p for p in (session.folder.path, *session.folder.path.parents) if not p.exists()]
     atomic.make_folder(session.folder.path)
     try:
         with lock.locked(session.folder.path) as notes:
+            # Another process may have finished this stage, or changed its parents, meanwhile.
+            found = _standing(session, stage, params)
+            if found is not None:
+                return found
             atomic.sweep(session.folder.path)
+            now = state(session, name, params)
             written = _run(session, stage, params, now, source, sources, notes)
     finally:
-        if created and not any(session.folder.path.iterdir()):
-            session.folder.path.rmdir()
+        for folder in created:
+            if not any(folder.iterdir()):
+                folder.rmdir()
     return Result(written, ran=True, reason=now.reason)
+
+
+def _standing(session: Session, stage: Stage, params: Params) -> Result | None:
+    """The result of a stage if it stands. Raises ArtifactError when a parent does not."""
+    for parent in stage.parents(params):
+        found = state(session, parent)
+        if not found.done:
+            raise ArtifactError(
+                f"{session.folder.path}: stage {parent} is not up to date ({found.reason}); "
+                f"run: vorolight {parent}"
+            )
+    now = state(session, stage.name, params)
+    if not now.done or session.force or now.manifest is None:
+        return None
+    if session.touch:
+        atomic.touch(session.folder.file(stage.stem_of(params), "json"))
+    return Result(now.manifest, ran=False, reason=None)
 
 
 def _check_device(device: str) -> None:
@@ -129,40 +144,43 @@ def _run(
     from .artifacts.hdf5 import encode
 
     files = {"h5": encode(stage.name, outcome.arrays, {"stage": stage.name}), **outcome.files}
-    outputs, times = [], {}
-    paths = {suffix: session.folder.file(stem, suffix) for suffix in sorted(files)}
-    session.folder.file(stem, "json").unlink(missing_ok=True)
-    for suffix, path in paths.items():
-        data = files[suffix]
-        atomic.write(path, data)
-        times[path.name] = path.stat().st_mtime_ns
-        outputs.append(
-            {
-                "role": suffix,
-                "path": path.name,
-                "bytes": len(data),
-                "sha256": fingerprint.of_bytes(data),
-            }
-        )
+    staging = session.folder.path / f".{stem}.new"
+    atomic.make_folder(staging)
+    staged = {suffix: staging / f"{stem}.{suffix}" for suffix in sorted(files)}
+    for suffix, path in staged.items():
+        atomic.write(path, files[suffix])
     metrics = outcome.metrics
-    if outcome.recheck is not None:
-        try:
-            metrics = metrics | {"as_written": outcome.recheck(paths)}
-        except VorolightError:
-            for path in paths.values():
-                path.unlink(missing_ok=True)
-            raise
+    try:
+        if outcome.recheck is not None:
+            metrics = metrics | {"as_written": outcome.recheck(staged)}
+        # From here to the manifest the stage counts as not done.
+        session.folder.file(stem, "json").unlink(missing_ok=True)
+        outputs, times = [], {}
+        for suffix, path in staged.items():
+            target = session.folder.file(stem, suffix)
+            atomic.move(path, target)
+            times[target.name] = target.stat().st_mtime_ns
+            outputs.append(
+                {
+                    "role": suffix,
+                    "path": target.name,
+                    "bytes": len(files[suffix]),
+                    "sha256": fingerprint.of_bytes(files[suffix]),
+                }
+            )
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
     parents = {name: state(session, name).fingerprint for name in stage.parents(params)}
     inputs = [_input_entry("input", source, session.folder.path)] if takes_input(stage) else []
-    for role, path in stage.extra_inputs(params).items():
-        inputs.append(_input_entry(role, identify(str(path)), session.folder.path))
+    for role, text in stage.extra_inputs(params).items():
+        inputs.append(_input_entry(role, identify(text), session.folder.path))
     record = {
         "schema": schemas.identifier(stage.name),
         "stage": stage.name,
         "status": "complete",
         "tool_version": tool_version(),
         "stage_code_version": stage.version,
-        "command": command_line(stage, params, session.seed),
+        "command": command_line(session, stage, params, source),
         "params": params.as_json(),
         "seed": session.seed,
         "device": session.device,
@@ -209,9 +227,12 @@ def _frame(folder: RunFolder) -> dict[str, Any]:
     return dict(stored["frame"])
 
 
-def command_line(stage: Stage, params: Params, seed: int) -> str:
-    """A command line that repeats a stage with these parameters."""
+def command_line(session: Session, stage: Stage, params: Params, source: Identity) -> str:
+    """A command line that repeats a stage, from the folder that holds the run folder."""
     words = ["vorolight", stage.name]
+    if stage.name == "classify":
+        place = source.name if source.path is None else relative(source.path, _beside(session))
+        words.append(place)
     for option in options(stage.params):
         value = getattr(params, option.name)
         if value == option.default:
@@ -220,7 +241,13 @@ def command_line(stage: Stage, params: Params, seed: int) -> str:
             words.append(option.flag if value else "--no-" + option.flag[2:])
         else:
             words += [option.flag, str(value)]
-    return " ".join(words + (["--seed", str(seed)] if seed else []))
+    words += ["--seed", str(session.seed)] if session.seed else []
+    words += ["--device", session.device] if session.device != "cpu" else []
+    return shlex.join(words)
+
+
+def _beside(session: Session) -> Path:
+    return session.folder.path.resolve().parent
 
 
 def tool_version() -> str:

@@ -81,15 +81,39 @@ def recorded_input(folder: RunFolder) -> Identity | None:
     )
 
 
+def _extra_input(
+    folder: RunFolder, stored: manifest.Manifest | None, role: str, text: str
+) -> Identity:
+    """A further input as it is now; one that is gone keeps what the manifest recorded of it."""
+    entries = stored["inputs"] if stored else []
+    entry = next((entry for entry in entries if entry["role"] == role), None)
+    if entry is not None and entry["path"] is not None:
+        place = folder.path / entry["path"]
+        if not place.is_file():
+            return Identity(entry["kind"], entry["name"], place, entry["bytes"], entry["sha256"])
+        if not Path(text).exists():
+            return identify(str(place))
+    return identify(text)
+
+
 def check_same_input(folder: RunFolder, given: Identity | None) -> None:
     """Raise ArtifactError when the run folder was made from another input than ``given``."""
     stored = folder.manifest("classify") if given else None
     if stored is None or given is None:
         return
     entry = stored["inputs"][0]
-    if entry["name"] != given.name and (entry["sha256"] is None or entry["sha256"] != given.sha256):
+    if entry["kind"] == given.kind:
+        if given.path is None:
+            same = entry["name"] == given.name
+        else:
+            place = relative(given.path, folder.path)
+            same = entry["path"] == place or entry["sha256"] == given.sha256
+    else:
+        same = False
+    if not same:
         raise ArtifactError(
-            f"{folder.path}: holds a run of {entry['name']}, not of {given.name}; "
+            f"{folder.path}: holds a run of {entry['path'] or entry['name']}, not of "
+            f"{given.path or given.name}; "
             "name another folder with --run"
         )
 
@@ -108,7 +132,10 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
         seed, device = session.seed, session.device
     parents = [state(session, parent) for parent in stage.parents(params)]
     source = (session.input or recorded_input(session.folder)) if takes_input(stage) else None
-    extra = {role: identify(str(path)) for role, path in stage.extra_inputs(params).items()}
+    extra = {
+        role: _extra_input(session.folder, stored, role, path)
+        for role, path in stage.extra_inputs(params).items()
+    }
     payload = {
         "stage": stage.name,
         "version": stage.version,
@@ -195,6 +222,6 @@ def overall(session: Session) -> list[State]:
 
 def relative(path: Path, folder: Path) -> str:
     try:
-        return Path(os.path.relpath(path, folder)).as_posix()
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
     except ValueError:  # another drive on Windows
         return path.resolve().as_posix()

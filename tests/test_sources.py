@@ -162,6 +162,19 @@ def test_bad_files_get_one_sentence(name: str, tmp_path: Path) -> None:
     assert content is None or path.read_bytes() == content
 
 
+def test_obj_as_others_write_it(tmp_path: Path) -> None:
+    text = "v\t0 0 0 # first\n  v 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    text += "f 1/1 3/2 \\\n 2/3 # base\nf -4//1 -3//1 -1//1\nf 2 3 4\nf 1 4 3\n"
+    path = tmp_path / "tetrahedron.obj"
+    path.write_text(text)
+    source = MeshSource(path)
+    assert source.polygons.face_vertices.tolist() == [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2]
+    assert source.open_edges == 0
+    path.write_text(text + "f 0 1 2\n")
+    with pytest.raises(InputError, match="counts from 1"):
+        load(path)
+
+
 def test_formats_of_trimesh_are_read(tmp_path: Path) -> None:
     import trimesh
 

@@ -7,6 +7,7 @@ import inspect
 import os
 import signal
 import sys
+import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -53,8 +54,11 @@ Run = Annotated[
         "--run", envvar="VOROLIGHT_RUN", help="The run folder. Default: INPUT's name + .vorolight."
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Seed of all randomness.", min=0)]
-Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1)]
+Seed = Annotated[
+    int | None,
+    typer.Option(help="Seed of all randomness. Default: 0.", min=0, max=2**63, show_default=False),
+]
+Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
 Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
 Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
@@ -75,6 +79,8 @@ class Common:
 
     console: Console
     session: standing.Session
+    seed: int | None
+    """As given; the session has 0 where nothing was."""
     dry_run: bool
     config: dict[str, dict[str, Any]]
 
@@ -82,7 +88,7 @@ class Common:
 def _common(
     input: Input = None,
     run: Run = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     threads: Threads = None,
     device: Device = "cpu",
     force: Force = False,
@@ -105,7 +111,7 @@ def _common(
     session = standing.Session(
         folder=RunFolder.locate(run, None if identity is None else identity.name),
         input=identity,
-        seed=seed,
+        seed=seed or 0,
         threads=threads or standing.available_threads(),
         device=device,
         force=force,
@@ -113,7 +119,7 @@ def _common(
         verify=verify,
         progress=console,
     )
-    return Common(console, session, dry_run, read_config(config, standing.ORDER))
+    return Common(console, session, seed, dry_run, read_config(config, standing.ORDER))
 
 
 def _taken(template: Function, given: dict[str, Any]) -> Any:
@@ -146,7 +152,7 @@ def guarded(function: Function) -> Function:
             return function(*args, **kwargs)
         except VorolightError as error:
             if kwargs.get("verbose"):
-                raise
+                traceback.print_exc()
             print(f"vorolight: {error}", file=sys.stderr)
             raise typer.Exit(error.exit_code) from None
         except typer.Exit:
@@ -154,7 +160,7 @@ def guarded(function: Function) -> Function:
         # Whatever else arrives here is a fault of ours; the user still gets one sentence.
         except Exception as error:
             if kwargs.get("verbose"):
-                raise
+                traceback.print_exc()
             kind = type(error).__name__
             print(
                 f"vorolight: internal error ({kind}: {error}); run again with -v and report it",
@@ -230,7 +236,9 @@ def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]
     stored = session.folder.manifest("classify")
     recorded = stored["params"] if stored else None
     params = build(stage, given, common.config, names, recorded)
-    unforced = replace(common, session=replace(session, force=False))
+    said = any(given.get(name) is not None for name in names.values()) or common.seed is not None
+    seed = stored["seed"] if stored and not said else session.seed
+    unforced = replace(common, session=replace(session, force=False, seed=seed))
     ran = _execute(unforced, "classify", params)
     if common.dry_run and ran:
         common.console.say("init: would run (classify changed)")
@@ -274,7 +282,13 @@ def _run_command() -> None:
 def _write_report(folder: RunFolder, console: Console, pictures: Path | None = None) -> None:
     from vorolight.stages.report import page
 
-    console.say(f"report: {page.write(folder, pictures)}")
+    states = standing.overall(standing.Session(folder=folder))
+    stale = {
+        found.stage.stem_of(found.params): found.reason
+        for found in states
+        if found.manifest is not None and found.reason is not None
+    }
+    console.say(f"report: {page.write(folder, stale, pictures)}")
 
 
 @app.command()
@@ -328,6 +342,8 @@ def sample(
 
     source = find(name)
     target, data = Path(source.name), source.read_bytes()
+    if target.is_dir():
+        raise UsageError(f"{target}: is a folder; rename it")
     if target.exists() and target.read_bytes() != data and not force:
         raise UsageError(f"{target}: is there and is another file; rename it, or use --force")
     atomic.write(target, data)

@@ -33,6 +33,23 @@ def write(path: Path, data: bytes) -> None:
         ) from error
 
 
+def move(source: Path, target: Path) -> None:
+    """Replace ``target`` by the finished file ``source`` of the same file system."""
+    try:
+        os.replace(source, target)
+        _sync_folder(target.parent)
+    except OSError as error:
+        raise UsageError(f"{target}: cannot be written ({error.strerror})") from error
+
+
+def touch(path: Path) -> None:
+    """Renew a file's modification time. Raises UsageError when that is not allowed."""
+    try:
+        os.utime(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be touched ({error.strerror})") from error
+
+
 def make_folder(path: Path) -> None:
     """Create ``path`` and its parents. Raises UsageError when that is not allowed."""
     try:

@@ -18,7 +18,7 @@ class Checkpoints:
     """The checkpoints of one stage run; those of other parameters or inputs are ignored."""
 
     def __init__(self, folder: Path, fingerprint: str) -> None:
-        self.folder = folder
+        self.folder = folder / fingerprint[:16]
         self.fingerprint = fingerprint
 
     def _files(self) -> list[Path]:
@@ -44,7 +44,7 @@ class Checkpoints:
         return None
 
     def clear(self) -> None:
-        """Remove them all, once the stage's result is written."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove all of the stage, of other parameters too, once its result is written."""
+        shutil.rmtree(self.folder.parent, ignore_errors=True)
         with contextlib.suppress(OSError):  # other stages may have checkpoints there
-            self.folder.parent.rmdir()
+            self.folder.parent.parent.rmdir()

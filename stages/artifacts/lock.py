@@ -26,19 +26,22 @@ def locked(folder: Path) -> Iterator[list[str]]:
     path = folder / NAME
     mine = json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "start": time.time()})
     warnings: list[str] = []
-    while True:
-        try:
-            handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
-        except FileExistsError:
-            warnings += _take_over(path)
-            continue
-        except OSError as error:
-            raise UsageError(
-                f"{folder}: cannot be written to ({error.strerror}); choose another --run"
-            ) from error
-        with os.fdopen(handle, "w") as stream:
-            stream.write(mine)
-        break
+    whole = folder / f"{NAME}.{os.getpid()}"
+    try:
+        # Linked into place, the lock never is an empty file.
+        whole.write_text(mine)
+        while True:
+            try:
+                os.link(whole, path)
+                break
+            except FileExistsError:
+                warnings += _take_over(path)
+    except OSError as error:
+        raise UsageError(
+            f"{folder}: cannot be written to ({error.strerror}); choose another --run"
+        ) from error
+    finally:
+        whole.unlink(missing_ok=True)
     _HELD.add(path)
     try:
         yield warnings
@@ -54,27 +57,31 @@ def release_all() -> None:
 
 
 def _take_over(path: Path) -> list[str]:
+    """Remove the lock at ``path`` if its holder no longer runs."""
     try:
-        text = path.read_text()
+        text = path.read_bytes()
     except FileNotFoundError:
         return []
     try:
         holder = json.loads(text)
         host, pid = str(holder["host"]), int(holder["pid"])
     except (ValueError, KeyError, TypeError):
-        # Being written this moment, or torn by a crash: a second look tells.
-        time.sleep(0.2)
-        try:
-            torn = path.read_text() == text
-        except FileNotFoundError:
-            return []
-        if torn:
-            path.unlink(missing_ok=True)
-            return ["a torn lock file was removed"]
-        return []
+        raise Locked(f"{path}: is no lock of ours; delete the file") from None
     if host != socket.gethostname():
         raise Locked(f"{path}: held by process {pid} on {host}; wait, or delete the file")
-    if process_runs(pid):
+    # Our own number on a lock that is not ours: a container that counts from 1 again.
+    mine = pid == os.getpid() and path not in _HELD
+    if process_runs(pid) and not mine:
         raise Locked(f"{path}: held by process {pid}; wait for it, or stop it")
-    path.unlink(missing_ok=True)
+    aside = path.with_name(f"{NAME}.dead.{os.getpid()}")
+    try:
+        os.replace(path, aside)
+    except FileNotFoundError:
+        return []  # somebody else was faster
+    taken = aside.read_bytes()
+    if taken != text:
+        # Between our look and our move a living process had taken it: give it back.
+        os.replace(aside, path)
+        return []
+    aside.unlink(missing_ok=True)
     return [f"took over the lock of process {pid}, which no longer runs"]

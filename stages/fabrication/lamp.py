@@ -17,7 +17,8 @@ FOOT = 2.4
 LIP = 2.0
 """How far the cup closes in above the light, and the height it takes for that, in mm."""
 CELL = 1.0
-"""Grid on which room for the cavity is looked for, in mm."""
+"""Grid on which room for the cavity is looked for, in mm; coarser on objects over MOST_CELLS."""
+MOST_CELLS = 400
 SEGMENTS = 96
 
 
@@ -59,23 +60,22 @@ def find_room(surface: PolygonMesh, light: Light) -> Place:
     vertices, triangles, _ = fan_triangles(surface)
     rays = RayParity(vertices, triangles)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    x = np.arange(low[0] - CELL, high[0] + 2 * CELL, CELL)
-    y = np.arange(low[1] - CELL, high[1] + 2 * CELL, CELL)
+    cell = max(CELL, float((high - low)[:2].max()) / MOST_CELLS)
+    x = np.arange(low[0] - cell, high[0] + 2 * cell, cell)
+    y = np.arange(low[1] - cell, high[1] + 2 * cell, cell)
     z = np.linspace(0.25, light.cavity_height + LIP, 13)
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     inside = rays.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])
-    room = distance_transform_edt(inside.all(axis=2)) * CELL
+    room = distance_transform_edt(inside.all(axis=2)) * cell
     if room.max() > 0:
         i, j = np.unravel_index(int(room.argmax()), room.shape)
         # The grid point itself is one cell inside at the least.
-        return Place(float(x[i]), float(y[j]), max(float(room[i, j]) - CELL, 0.0))
+        return Place(float(x[i]), float(y[j]), max(float(room[i, j]) - cell, 0.0))
     filled = np.flatnonzero(inside.any(axis=(0, 1)))
     if len(filled) == 0:
         raise NumericalFailure("the shape has no inside near its base; choose another --up")
     where = np.argwhere(inside[:, :, filled[0]]).mean(axis=0)
-    return Place(
-        float(low[0] - CELL + where[0] * CELL), float(low[1] - CELL + where[1] * CELL), 0.0
-    )
+    return Place(float(x[0] + where[0] * cell), float(y[0] + where[1] * cell), 0.0)
 
 
 def base_bodies(surface: PolygonMesh, light: Light, place: Place) -> tuple[list[Any], Any]:
@@ -93,7 +93,9 @@ def base_bodies(surface: PolygonMesh, light: Light, place: Place) -> tuple[list[
     cup = Manifold.cylinder(height + LIP, outer, outer, SEGMENTS).translate(where)
     cavity = Manifold.cylinder(height + 1, radius, radius, SEGMENTS).translate(
         (place.x, place.y, -1.0)
-    ) + Manifold.cylinder(LIP, radius, radius - LIP, SEGMENTS).translate((place.x, place.y, height))
+    ) + Manifold.cylinder(LIP, radius, max(radius - LIP, 0.0), SEGMENTS).translate(
+        (place.x, place.y, height)
+    )
     return [foot, cup], cavity
 
 

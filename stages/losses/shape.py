@@ -100,9 +100,11 @@ class Chamfer:
             here = samples.detach().cpu().numpy()
             if not np.isfinite(here).all():
                 raise NumericalFailure("a surface vertex is not finite: the training diverged")
-            self.forward = torch.as_tensor(self.tree.query(here, workers=self.threads)[1])
+            forward = self.tree.query(here, workers=self.threads)[1]
             own = cKDTree(here, balanced_tree=False, compact_nodes=False)
-            self.backward = torch.as_tensor(own.query(self.tree.data, workers=self.threads)[1])
+            backward = own.query(self.tree.data, workers=self.threads)[1]
+            self.forward = torch.as_tensor(forward, device=samples.device)
+            self.backward = torch.as_tensor(backward, device=samples.device)
         to_target = ((samples - target[self.forward]) ** 2).sum(1).mean()
         to_samples = ((target - samples.index_select(0, self.backward)) ** 2).sum(1).mean()
         return to_target + to_samples

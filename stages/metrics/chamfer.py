@@ -33,7 +33,7 @@ def chamfer(
 ) -> ChamferResult:
     """CD^2 (eq. cd2), precision, recall and F1 at ``threshold`` of two ``(N, 3)`` sample sets.
 
-    ``area`` is the reference's, in the same frame, for the sampling floor.
+    ``area`` is the surface's, in the same frame, for the sampling floor.
     """
     forward = nearest(predicted, reference, threads)
     backward = nearest(reference, predicted, threads)

@@ -14,7 +14,9 @@ from ..surface.topology import edge_keys
 MINIMUM_NEIGHBOURS = 8
 CONDITION_LIMIT = 1e8
 """Of the 6 x 6 normal matrix in coordinates divided by the radius; the paper gives no number."""
-VERTICES_AT_ONCE = 20_000
+PAIRS_AT_ONCE = 4_000_000
+MOST_NEIGHBOURS = 2000
+"""More neighbours than this say that the radius does not fit the surface; no fit is made."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,8 @@ def mean_curvature(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """``H (V,)`` from a weighted quadratic height field over the vertices within ``radius``.
 
-    A vertex is not its own neighbour. Returns H and which vertices have a trustworthy fit: eight
-    neighbours or more and a condition number below CONDITION_LIMIT.
+    A vertex is not its own neighbour. Returns H and which vertices have a trustworthy fit: from 8
+    to MOST_NEIGHBOURS neighbours and a condition number below CONDITION_LIMIT.
     """
     from scipy.spatial import cKDTree
 
@@ -47,8 +49,11 @@ def mean_curvature(
     tree = cKDTree(vertices)
     curvature = np.zeros(len(vertices))
     valid = np.zeros(len(vertices), dtype=bool)
-    for start in range(0, len(vertices), VERTICES_AT_ONCE):
-        rows = np.arange(start, min(start + VERTICES_AT_ONCE, len(vertices)))
+    expected = tree.query_ball_point(vertices, radius, workers=threads, return_length=True)
+    fitted = np.flatnonzero(expected <= MOST_NEIGHBOURS + 1)
+    batch = np.cumsum(expected[fitted]) // PAIRS_AT_ONCE
+    for number in np.unique(batch):
+        rows = fitted[batch == number]
         found = tree.query_ball_point(vertices[rows], radius, workers=threads)
         count = np.fromiter((len(row) for row in found), np.int64, len(found))
         other = np.concatenate([np.asarray(row, np.int64) for row in found])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,10 @@ details{margin:.4rem 0}summary{cursor:pointer}.scroll{overflow-x:auto}
 """
 
 
-def write(folder: RunFolder, pictures: Path | None = None) -> Path:
+def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = None) -> Path:
     """Write ``report.html`` into the run folder, and the pictures to ``pictures`` if given.
+
+    ``stale`` says of stages that are done why they are out of date.
 
     Raises ArtifactError when no stage is done.
     """
@@ -43,7 +46,7 @@ def write(folder: RunFolder, pictures: Path | None = None) -> Path:
         manifests[path.stem] = read(path)
     if not manifests:
         raise ArtifactError(f"{folder.path}: no stage is done; run: vorolight run INPUT")
-    body = [_heading(manifests), _warnings(manifests)]
+    body = [_heading(manifests), _warnings(manifests, stale)]
     for name, draw in PICTURES.items():
         image = draw(folder)
         if image is None:
@@ -101,8 +104,12 @@ def _heading(manifests: dict[str, Manifest]) -> str:
     return f"<h1>{html.escape(name)}</h1><p>Made by vorolight {first['tool_version']}.</p>"
 
 
-def _warnings(manifests: dict[str, Manifest]) -> str:
+def _warnings(manifests: dict[str, Manifest], stale: Mapping[str, str]) -> str:
     lines = [
+        f'<p class="warn"><b>{stage} is out of date</b>: {html.escape(reason)}</p>'
+        for stage, reason in stale.items()
+    ]
+    lines += [
         f'<p class="warn">{stage}: {html.escape(text)}</p>'
         for stage, manifest in manifests.items()
         for text in manifest["warnings"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..artifacts.run_folder import RunFolder
+from ..errors import ArtifactError
 from ..render import raster
 from ..sources.resolve import up_axis
 from ..surface.geometry import face_frames, fan_triangles
@@ -75,8 +76,13 @@ def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
         return None
     from ..export import ply
 
-    mesh = ply.read(folder.file("fabricate", "ply"))
-    assert mesh is not None  # our own file has the plain layout
+    path = folder.file("fabricate", "ply")
+    try:
+        mesh = ply.read(path)
+    except (OSError, ValueError, KeyError) as error:
+        raise ArtifactError(f"{path}: damaged ({error}); run: vorolight fabricate") from error
+    if mesh is None:
+        raise ArtifactError(f"{path}: is not the file fabricate wrote; run: vorolight fabricate")
     triangles = mesh.face_vertices.reshape(-1, 3)
     view = raster.view("z", AZIMUTH[_up(folder)])
     day = raster.shaded(mesh.vertices, triangles, None, PRINT, view, size, size)

@@ -27,7 +27,9 @@ class MeshSource:
         self.name = path.stem
         self.polygons = loaded.polygons
         self.polygons_kept = loaded.polygons_kept
-        self.vertices, self.triangles, _ = geometry.fan_triangles(self.polygons)
+        # Equal positions are one vertex here, so that neighbours share edges; the file as found
+        # stays in ``polygons``.
+        self.vertices, self.triangles, _ = geometry.fan_triangles(self._welded)
 
     def bounding_box(self) -> Floats:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])

@@ -76,14 +76,20 @@ def _read_obj(path: Path) -> PolygonMesh:
     vertices: list[bytes] = []
     corners: list[int] = []
     offsets = [0]
-    for number, line in enumerate(path.read_bytes().splitlines(), start=1):
-        if line.startswith(b"v "):
-            vertices.append(b" ".join(line.split()[1:4]))
-        elif line.startswith(b"f "):
+    content = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    for number, line in enumerate(content.splitlines(), start=1):
+        words = line.partition(b"#")[0].split()
+        if not words:
+            continue
+        if words[0] == b"v":
+            vertices.append(b" ".join(words[1:4]))
+        elif words[0] == b"f":
             try:
-                ring = [int(word.split(b"/", 1)[0]) for word in line.split()[1:]]
+                ring = [int(word.split(b"/", 1)[0]) for word in words[1:]]
             except ValueError:
                 raise ValueError(f"line {number} is no face") from None
+            if 0 in ring:
+                raise ValueError(f"line {number} names vertex 0, but OBJ counts from 1")
             if len(ring) > 2:
                 corners.extend(index - 1 if index > 0 else len(vertices) + index for index in ring)
                 offsets.append(len(corners))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..surface.polygons import Floats, Ints
 
 PAIRS_AT_ONCE = 2_000_000
+MOST_ENTRIES = 20_000_000
 
 
 def _rotation() -> Floats:
@@ -41,12 +42,15 @@ class RayParity:
         low, high = self.corners[..., :2].min(axis=1), self.corners[..., :2].max(axis=1)
         self.origin = low.min(axis=0) if len(low) else np.zeros(2)
         top = high.max(axis=0) if len(high) else np.ones(2)
-        self.bins = int(np.clip(np.sqrt(len(ordered)), 1, 1024))
+        self.bins = 2 * int(np.clip(np.sqrt(len(ordered)), 1, 1024))
         span = np.maximum(top - self.origin, np.finfo(float).tiny)
-        self.scale = self.bins / span
-        first, last = self._bin(low), self._bin(high)
-        size = last - first + 1
-        count = size.prod(axis=1)
+        count = np.array([MOST_ENTRIES + 1])
+        while count.sum() > MOST_ENTRIES and self.bins > 1:  # long triangles fill many bins
+            self.bins //= 2
+            self.scale = self.bins / span
+            first, last = self._bin(low), self._bin(high)
+            size = last - first + 1
+            count = size.prod(axis=1)
         owner = np.repeat(np.arange(len(ordered)), count)
         within = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
         width = size[owner, 1]

@@ -48,8 +48,8 @@ def identify(text: str) -> Identity:
 
     path = Path(text)
     if path.exists():
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; give a mesh file")
+        if not path.is_file():
+            raise InputError(f"{path}: is no file; give a mesh file")
         return Identity("mesh", path.stem, path, path.stat().st_size, fingerprint.of_file(path))
     if text in FIELDS:
         return Identity("field", text, None, None, None)

@@ -16,6 +16,7 @@ COARSE = 30
 """Voxels along the longest side of the first pass."""
 ROUNDS = 35
 """``N_round``: random samples in a voxel; it is interior if any is inside."""
+VOXELS_AT_ONCE = 2_000_000
 BAND = 3
 """Layers of exterior voxels around the interior ones."""
 
@@ -46,9 +47,12 @@ def _interior(
     interior = np.zeros(shape, dtype=bool).reshape(-1)
     for number in range(ROUNDS):
         left = np.flatnonzero(~interior)
-        index = np.stack(np.unravel_index(left, shape), axis=1)
-        jitter = random(number).random((len(left), 3))
-        interior[left] = source.inside(origin + (index + jitter) * spacing)
+        stream = random(number)
+        for start in range(0, len(left), VOXELS_AT_ONCE):
+            part = left[start : start + VOXELS_AT_ONCE]
+            index = np.stack(np.unravel_index(part, shape), axis=1)
+            points = origin + (index + stream.random((len(part), 3))) * spacing
+            interior[part] = source.inside(points)
         tick()
     return interior.reshape(shape)
 

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from .cleanup import FLAT, settle
+from .cleanup import settle
 from .delaunay import Tetrahedra, delaunay
 from .interface import rings_to_surface
 from .rings import Selection, voronoi_rings
+from .vertices import FLAT
 
 
 def _touching(count: int) -> Selection:

@@ -16,9 +16,8 @@ from ..surface.polygons import PolygonMesh
 from ..surface.topology import bad_edges, edges
 from .delaunay import Floats, Ints
 from .interface import VoronoiSurface
+from .vertices import FLAT
 
-FLAT = 1e-9
-"""``|det| / Lmax^3`` below which a tetrahedron has no usable circumcentre."""
 MERGE = 1e-6
 """Distance, in units of the spacing, below which neighbouring Voronoi vertices are one."""
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .cells import cell_centroids
-from .cleanup import FLAT
 from .delaunay import Floats, Ints, delaunay
 from .interface import VoronoiSurface
 from .rings import EDGES
+from .vertices import FLAT
 
 SMALLEST_BATCH = 200
 OVERSAMPLING = 3

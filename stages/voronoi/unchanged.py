@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..surface.geometry import face_frames
-from .cleanup import FLAT
 from .delaunay import Floats, Ints
 from .interface import VoronoiSurface
+from .vertices import FLAT
 
 AREA_TOLERANCE = 1e-9
 """Relative to the mean face area; smaller faces come and go with rounding in flat tetrahedra."""

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     import torch
 
 
+FLAT = 1e-9
+"""``|det| / Lmax^3`` below which a tetrahedron has no usable circumcentre."""
+
+
 def circumcentres(generators: Floats, tetrahedra: Ints) -> tuple[Floats, Floats]:
     """Circumcentres ``(T, 3)`` and flatness ``|det| / Lmax^3 (T,)`` of ``tetrahedra (T, 4)``.
 
@@ -40,7 +44,8 @@ def voronoi_vertices(generators: torch.Tensor, tetrahedra: torch.Tensor) -> torc
 
     Solves ``A v = b / 2`` (paper's appendix, after Numerow et al. 2024). Differentiating
     ``|x_i - v|^2 = |x_0 - v|^2`` gives ``A dv = ((x_i - v) dx_i - (x_0 - v) dx_0)_i``, so with
-    ``A^T u = dL/dv`` the gradients are ``u_i (x_i - v)`` and ``-(sum u)(x_0 - v)``.
+    ``A^T u = dL/dv`` the gradients are ``u_i (x_i - v)`` and ``-(sum u)(x_0 - v)``. A flat
+    tetrahedron, which has no circumcentre, gives the mean of its corners and no gradient.
     """
     result: torch.Tensor = _circumcentre_function().apply(generators, tetrahedra)
     return result
@@ -68,7 +73,10 @@ def _circumcentre_function() -> Any:
             edges = corners[:, 1:] - corners[:, :1]
             cross, determinant = cofactors(edges)
             squares = (edges * edges).sum(2)
+            flat = determinant.abs() < FLAT * squares.amax(1) ** 1.5
+            determinant = torch.where(flat, torch.inf, determinant)
             offset = 0.5 * (squares[:, :, None] * cross).sum(1) / determinant[:, None]
+            offset = torch.where(flat[:, None], edges.sum(1) / 4, offset)
             ctx.save_for_backward(corners - (corners[:, 0] + offset)[:, None], cross, determinant)
             ctx.tetrahedra, ctx.count = tetrahedra, len(generators)
             return corners[:, 0] + offset
