@@ -17,7 +17,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all check schemas pictures clean always
+.PHONY: lamp run test test-all bench check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -57,6 +57,9 @@ test: $(VENV)/tested-with
 	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest
 test-all: $(VENV)/tested-with
 	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -m ''
+
+bench: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/interface.py
 
 # Lint, and type-check the package as the wheel installs it.
 check: $(VENV)/tested-with

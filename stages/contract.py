@@ -154,7 +154,7 @@ def _read_options(params: type[Params]) -> tuple[Option, ...]:
 
 
 def params_schema(params: type[Params]) -> dict[str, Any]:
-    """JSON Schema of a stage's parameters."""
+    """JSON Schema of a stage's parameters, as manifests hold them."""
     names = {int: "integer", float: "number", bool: "boolean", str: "string"}
     properties: dict[str, Any] = {}
     for option in options(params):
@@ -170,9 +170,8 @@ def params_schema(params: type[Params]) -> dict[str, Any]:
                 entry["maximum"] = option.limits.high
         entry["default"] = option.default
         properties[option.name] = entry
-    return {"type": "object", "required": [o.name for o in options(params)]} | {
-        "properties": properties
-    }
+    # None is required: a manifest from before an option was there is stale, not unreadable.
+    return {"type": "object", "properties": properties}
 
 
 class Progress(Protocol):

@@ -92,6 +92,17 @@ def test_nothing_runs_twice(heart_run: Path, cli: Cli) -> None:
     assert {entry["stage"] for entry in states} >= {*STAGES, "evaluate-sphere-train"}
 
 
+def test_a_manifest_from_before_an_option_was_there_is_stale(tmp_path: Path, cli: Cli) -> None:
+    assert cli("init", "sphere", "-n", 6, "--iterations", 2, cwd=tmp_path).returncode == 0
+    path = tmp_path / "sphere.vorolight" / "init.json"
+    record = json.loads(path.read_text())
+    del record["params"]["field_loss"]
+    record["fingerprint"] = "0" * 64
+    path.write_text(json.dumps(record))
+    done = cli("init", "--iterations", 2, "--dry-run", cwd=tmp_path)
+    assert "field_loss None -> distance" in done.stdout
+
+
 def test_dry_run_says_why(heart_run: Path, cli: Cli) -> None:
     before = snapshot(heart_run)
     done = cli("init", "-n", 11, "--dry-run", cwd=heart_run.parent)

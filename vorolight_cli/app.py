@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +22,8 @@ from vorolight.stages.errors import GateFailure, UsageError, VorolightError
 
 from . import summary
 from .console import Console, table
-from .parameters import Function, add_options, build, parameter_names, read_config
+from .parameters import Function, add_options, build, parameter_names
+from .session import Common, Input, Json, Quiet, Run, Verbose, Verify, common_options
 
 HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -43,83 +44,6 @@ EXAMPLES = {
     "evaluate": "vorolight evaluate --of init --reference bunny.obj",
     "fabricate": "vorolight fabricate --lamp --height 120",
 }
-
-Input = Annotated[
-    str | None,
-    typer.Argument(help="A mesh file, or a built-in field: heart, cube-cavity, sphere, torus."),
-]
-Run = Annotated[
-    Path | None,
-    typer.Option(
-        "--run", envvar="VOROLIGHT_RUN", help="The run folder. Default: INPUT's name + .vorolight."
-    ),
-]
-Seed = Annotated[
-    int | None,
-    typer.Option(help="Seed of all randomness. Default: 0.", min=0, max=2**63, show_default=False),
-]
-Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
-Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
-Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
-Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]
-Verify = Annotated[bool, typer.Option("--verify", help="Compare the contents of all files.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the manifest as JSON on stdout.")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No progress, no summary.")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more, tracebacks included.")]
-NoColor = Annotated[bool, typer.Option("--no-color", help="No colours.")]
-Config = Annotated[
-    Path | None, typer.Option("--config", help="TOML file with a table of options per stage.")
-]
-
-
-@dataclass(frozen=True)
-class Common:
-    """The options every stage command has."""
-
-    console: Console
-    session: standing.Session
-    seed: int | None
-    """As given; the session has 0 where nothing was."""
-    dry_run: bool
-    config: dict[str, dict[str, Any]]
-
-
-def _common(
-    input: Input = None,
-    run: Run = None,
-    seed: Seed = None,
-    threads: Threads = None,
-    device: Device = "cpu",
-    force: Force = False,
-    dry_run: DryRun = False,
-    touch: Touch = False,
-    verify: Verify = False,
-    json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-    no_color: NoColor = False,
-    config: Config = None,
-) -> Common:
-    """What every stage command can be told, besides the stage's own options."""
-    from vorolight.stages.sources.resolve import identify
-
-    if device not in ("cpu", "cuda"):
-        raise UsageError(f"--device {device}: must be cpu or cuda")
-    console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
-    identity = None if input is None else identify(input)
-    session = standing.Session(
-        folder=RunFolder.locate(run, None if identity is None else identity.name),
-        input=identity,
-        seed=seed or 0,
-        threads=threads or standing.available_threads(),
-        device=device,
-        force=force,
-        touch=touch,
-        verify=verify,
-        progress=console,
-    )
-    return Common(console, session, seed, dry_run, read_config(config, standing.ORDER))
 
 
 def _taken(template: Function, given: dict[str, Any]) -> Any:
@@ -196,11 +120,13 @@ def _stage_command(name: str) -> None:
     stage = standing.get(name)
     served = [standing.get("classify"), stage] if name == "init" else [stage]
     names = parameter_names(served)
-    templates: list[Function] = [_common, _strict] if name == "evaluate" else [_common]
+    templates: list[Function] = (
+        [common_options, _strict] if name == "evaluate" else [common_options]
+    )
 
     def command(**given: Any) -> None:
         strict = name == "evaluate" and _taken(_strict, given)
-        common = _taken(_common, given)
+        common = _taken(common_options, given)
         params = build(stage, given, common.config, names[name])
         if name == "init" and _classify_first(common, given, names["classify"]):
             return
@@ -257,7 +183,7 @@ def _run_command() -> None:
         Example: vorolight run bunny.obj -n 25 --lamp
         """
         until = _taken(_until, given)
-        common = _taken(_common, given)
+        common = _taken(common_options, given)
         planned = {
             stage.name: build(stage, given, common.config, names[stage.name]) for stage in stages
         }
@@ -276,7 +202,7 @@ def _run_command() -> None:
         if not common.dry_run:
             _write_report(common.session.folder, common.console)
 
-    app.command("run")(guarded(add_options(command, [_common, _until], stages)))
+    app.command("run")(guarded(add_options(command, [common_options, _until], stages)))
 
 
 def _write_report(folder: RunFolder, console: Console, pictures: Path | None = None) -> None:

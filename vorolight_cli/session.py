@@ -1,0 +1,93 @@
+"""The options that every stage command has, and the session they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from vorolight.stages import standing
+from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.errors import UsageError
+
+from .console import Console
+from .parameters import read_config
+
+Input = Annotated[
+    str | None,
+    typer.Argument(help="A mesh file, or a built-in field: heart, cube-cavity, sphere, torus."),
+]
+Run = Annotated[
+    Path | None,
+    typer.Option(
+        "--run", envvar="VOROLIGHT_RUN", help="The run folder. Default: INPUT's name + .vorolight."
+    ),
+]
+Seed = Annotated[
+    int | None,
+    typer.Option(help="Seed of all randomness. Default: 0.", min=0, max=2**63, show_default=False),
+]
+Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
+Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
+Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
+Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]
+Verify = Annotated[bool, typer.Option("--verify", help="Compare the contents of all files.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the manifest as JSON on stdout.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No progress, no summary.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more, tracebacks included.")]
+NoColor = Annotated[bool, typer.Option("--no-color", help="No colours.")]
+Config = Annotated[
+    Path | None, typer.Option("--config", help="TOML file with a table of options per stage.")
+]
+
+
+@dataclass(frozen=True)
+class Common:
+    """The options every stage command has."""
+
+    console: Console
+    session: standing.Session
+    seed: int | None
+    """As given; the session has 0 where nothing was."""
+    dry_run: bool
+    config: dict[str, dict[str, Any]]
+
+
+def common_options(
+    input: Input = None,
+    run: Run = None,
+    seed: Seed = None,
+    threads: Threads = None,
+    device: Device = "cpu",
+    force: Force = False,
+    dry_run: DryRun = False,
+    touch: Touch = False,
+    verify: Verify = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    no_color: NoColor = False,
+    config: Config = None,
+) -> Common:
+    """What every stage command can be told, besides the stage's own options."""
+    from vorolight.stages.sources.resolve import identify
+
+    if device not in ("cpu", "cuda"):
+        raise UsageError(f"--device {device}: must be cpu or cuda")
+    console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
+    identity = None if input is None else identify(input)
+    session = standing.Session(
+        folder=RunFolder.locate(run, None if identity is None else identity.name),
+        input=identity,
+        seed=seed or 0,
+        threads=threads or standing.available_threads(),
+        device=device,
+        force=force,
+        touch=touch,
+        verify=verify,
+        progress=console,
+    )
+    return Common(console, session, seed, dry_run, read_config(config, standing.ORDER))
