@@ -112,6 +112,11 @@ def test_dry_run_says_why(heart_run: Path, cli: Cli) -> None:
     assert snapshot(heart_run) == before
 
 
+def test_run_without_input_goes_on_with_the_resolution(heart_run: Path, cli: Cli) -> None:
+    done = cli("run", "--until", "classify", "--dry-run", cwd=heart_run.parent)
+    assert done.stdout.strip() == "classify: up to date"
+
+
 def test_touch_renews_only_the_time(heart_run: Path, cli: Cli) -> None:
     path = heart_run / "classify.json"
     content = path.read_bytes()

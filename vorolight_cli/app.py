@@ -119,12 +119,12 @@ def _execute(common: Common, name: str, params: Any) -> bool:
 def _stage_command(name: str) -> None:
     stage = standing.get(name)
     served = [standing.get("classify"), stage] if name == "init" else [stage]
-    names = parameter_names(served)
     templates: list[Function] = (
         [common_options, _strict] if name == "evaluate" else [common_options]
     )
 
     def command(**given: Any) -> None:
+        names = parameter_names(served)
         strict = name == "evaluate" and _taken(_strict, given)
         common = _taken(common_options, given)
         params = build(stage, given, common.config, names[name])
@@ -135,7 +135,17 @@ def _stage_command(name: str) -> None:
             _gates(common.session, params)
 
     command.__doc__ = _help(stage)
-    app.command(name)(guarded(add_options(command, templates, served)))
+    _register(name, command, templates, served)
+
+
+def _register(name: str, command: Function, templates: list[Function], served: list[Stage]) -> None:
+    """Add a command. Its options are put together only if it may be the one that is called, or a
+    shell asks for completions: for all of them that takes as long as the rest of ``--help``."""
+    if name in sys.argv or any(key.endswith("_COMPLETE") for key in os.environ):
+        command = guarded(add_options(command, templates, served))
+    else:
+        command = add_options(command, [], [])
+    app.command(name)(command)
 
 
 def _help(stage: Stage) -> str:
@@ -175,17 +185,23 @@ def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]
 
 def _run_command() -> None:
     stages = [standing.get(name) for name in standing.ORDER]
-    names = parameter_names(stages)
 
     def command(**given: Any) -> None:
         """Run all stages, from INPUT to the printable object, and write the report.
 
         Example: vorolight run bunny.obj -n 25 --lamp
         """
+        names = parameter_names(stages)
         until = _taken(_until, given)
         common = _taken(common_options, given)
+        # Without an INPUT the run goes on at the resolution it was begun with.
+        stored = None if common.session.input else common.session.folder.manifest("classify")
+        recorded = {"classify": stored["params"]} if stored else {}
         planned = {
-            stage.name: build(stage, given, common.config, names[stage.name]) for stage in stages
+            stage.name: build(
+                stage, given, common.config, names[stage.name], recorded.get(stage.name)
+            )
+            for stage in stages
         }
         first: str | None = None
         for stage in stages[: standing.ORDER.index(until) + 1]:
@@ -202,7 +218,7 @@ def _run_command() -> None:
         if not common.dry_run:
             _write_report(common.session.folder, common.console)
 
-    app.command("run")(guarded(add_options(command, [common_options, _until], stages)))
+    _register("run", command, [common_options, _until], stages)
 
 
 def _write_report(folder: RunFolder, console: Console, pictures: Path | None = None) -> None:
