@@ -313,9 +313,6 @@ def _build() -> None:
     _run_command()
 
 
-_build()
-
-
 def _stop(number: int, frame: object) -> None:
     """End at once. No unwinding: an exception thrown into torch's kernels crashes the process, and
     every file is either whole or not there."""
@@ -328,4 +325,5 @@ def main() -> None:
     """Entry point of the console script."""
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
+    _build()
     app()
