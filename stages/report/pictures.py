@@ -8,7 +8,7 @@ from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
 from ..render import raster
 from ..sources.resolve import up_axis
-from ..surface.geometry import face_frames, fan_triangles
+from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, PolygonMesh
 
 SURFACE = np.array([0.56, 0.72, 0.88])
@@ -63,10 +63,8 @@ def cutaway(folder: RunFolder, size: int = 480) -> Floats | None:
     triangles = np.where(flip[faces, None], triangles[:, ::-1], triangles)
     cell = np.where(flip, neighbour[shown], owner[shown])
     colors = np.where(inner[cell][faces, None], INNER, SURFACE)
-    _, normal, _ = face_frames(mesh)
-    cut = np.abs(normal @ across) > 0  # every face belongs to some cell: outline cells, not faces
-    groups = np.where(cut[faces], cell[faces], -2)
-    return raster.shaded(vertices, triangles, groups, colors, view, size, size)
+    # Outlined are cells, not faces.
+    return raster.shaded(vertices, triangles, cell[faces], colors, view, size, size)
 
 
 def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
