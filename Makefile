@@ -8,6 +8,8 @@ SEED ?= 0
 THREADS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 INNER ?= 800
 FABRICATE ?= --lamp
+# The tubes of a lamp run along polygons; FACES=triangle draws the dual of a certified surface.
+FACES ?= polygon
 
 BIN := $(VENV)/bin
 RUN ?= $(basename $(notdir $(INPUT))).vorolight
@@ -34,7 +36,7 @@ $(RUN)/classify.json: $(SAMPLE) $(wildcard $(INPUT)) always | $(VENV)/installed
 $(RUN)/init.json: $(RUN)/classify.json always
 	@$(BIN)/vorolight init $(COMMON)
 $(RUN)/sphere-train.json: $(RUN)/init.json always
-	@$(BIN)/vorolight sphere-train $(COMMON)
+	@$(BIN)/vorolight sphere-train --faces $(FACES) $(COMMON)
 $(RUN)/volume.json: $(RUN)/sphere-train.json always
 	@$(BIN)/vorolight volume --inner $(INNER) $(COMMON)
 $(RUN)/evaluate-%.json: $(RUN)/%.json always

@@ -160,7 +160,7 @@ def params_schema(params: type[Params]) -> dict[str, Any]:
     for option in options(params):
         entry: dict[str, Any] = {"description": option.meaning}
         if get_origin(option.type) is Literal:
-            entry["enum"] = list(get_args(option.type))
+            entry["enum"] = [*get_args(option.type), *([None] if option.optional else [])]
         else:
             entry["type"] = [names[option.type], "null"] if option.optional else names[option.type]
         if option.limits is not None:

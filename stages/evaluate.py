@@ -37,9 +37,13 @@ def run(context: Context) -> Outcome:
 
     from .export import ply
     from .metrics import chamfer, curvature
+    from .metrics.fidelity import fidelity
     from .sources.fields import FieldSource
     from .sources.resolve import identify
+    from .sources.true_surface import true_surface
     from .surface import geometry
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import PolygonMesh
     from .surface.topology import topology
 
     params, threads = context.params, context.threads
@@ -70,6 +74,18 @@ def run(context: Context) -> Outcome:
         true_area / diagonal**2,
         threads,
     )
+    frame = ModelFrame.of(context.arrays("classify"))
+    truth = true_surface(source, frame, threads)
+    placed = frame.model_from_input(reference)
+    close = fidelity(
+        frame.model_from_input(vertices),
+        triangles,
+        truth,
+        (placed, truth.closest(placed)[1]),
+        params.samples,
+        random("fidelity"),
+        threads,
+    ).scaled(frame.spacing / diagonal)
     context.progress.advance(1)
     spacing = float(context.arrays("classify")["spacing"])
     radius = spacing if field else 2.0 * source.median_edge_length()
@@ -92,8 +108,14 @@ def run(context: Context) -> Outcome:
         "area": area,
         "volume": volume,
         "chamfer": vars(distances),
+        "fidelity": vars(close),
         "curvature": None if bent is None else vars(bent),
         "dihedral_mean_curvature": curvature.dihedral_mean_curvature(mesh),
+        "reference_dihedral": None
+        if field
+        else curvature.dihedral_mean_curvature(
+            PolygonMesh.of_triangles(source.vertices, source.triangles)
+        ),
         "reference_curvature": _reference_curvature(source, reference, radius, threads),
         "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
         "gates": {
@@ -106,6 +128,9 @@ def run(context: Context) -> Outcome:
     context.progress.advance(3)
     if params.of != "init":
         metrics |= _trained(context, radius, field)
+        claimed = (context.folder.manifest("sphere-train") or {})["metrics"]["certificate"]["holds"]
+        if claimed:
+            metrics["gates"]["certificate"] = metrics["certificate"]["holds"]
     distance = chamfer.nearest(mesh.vertices, reference, threads)
     bend = np.where(valid, np.abs(measured), np.nan)[: mesh.vertex_count]
     return Outcome(
@@ -162,6 +187,7 @@ def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .surface.topology import topology
+    from .voronoi.certificate import certify
     from .voronoi.conformity import conformity
     from .voronoi.interface import interface
 
@@ -181,18 +207,26 @@ def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
     inside, outside = (
         frame.model_from_input(arrays[f"generators/{side}"]) for side in ("inside", "outside")
     )
-    raw = interface(np.concatenate([inside, outside]), np.arange(2 * count) < count)
+    generators, labels = np.concatenate([inside, outside]), np.arange(2 * count) < count
+    raw = interface(generators, labels)
+    placed, radii = (
+        mesh.with_vertices(frame.model_from_input(mesh.vertices)),
+        arrays["spheres/radius"] / frame.spacing,
+    )
+    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
+    certificate = certify(placed, radii, generators, labels, pairs, context.threads)
     agreement = conformity(
         raw,
         np.arange(2 * count) % count,
-        mesh.with_vertices(frame.model_from_input(mesh.vertices)),
-        arrays["spheres/radius"] / frame.spacing,
+        placed,
+        radii,
         inside,
         outside,
         1.0,
         context.threads,
     )
     return {
+        "certificate": vars(certificate) | {"failed": list(certificate.failed)},
         "conformity": vars(agreement),
         "trained": {
             "topology": vars(topology(mesh)),
@@ -214,7 +248,7 @@ def _extra(params: Params) -> dict[str, str]:
 
 STAGE = Stage(
     name="evaluate",
-    version=1,
+    version=2,
     params=Params,
     run=run,
     parents=lambda params: (

@@ -86,13 +86,17 @@ class Params(contract.Params):
 
 
 def run(context: Context) -> Outcome:
-    """Fabrication as in the paper's appendix E.2; draws the trained polygons, not the interface."""
+    """Fabrication as in the paper's appendix E.2; draws the trained polygons, not the interface.
+
+    Of a surface of triangles the dual is drawn, a polygon around each vertex.
+    """
     import numpy as np
 
     from .errors import NumericalFailure
     from .export import ply, stl
     from .fabrication import assembly, lamp, plates, tubes
     from .sources.resolve import up_axis
+    from .surface.dual import dual
     from .surface.polygons import PolygonMesh
 
     params = context.params
@@ -101,6 +105,9 @@ def run(context: Context) -> Outcome:
     polygons, surface = (
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
     )
+    triangles = bool((polygons.valences == 3).all())
+    if triangles:
+        polygons = dual(polygons)
     recorded = context.folder.manifest("classify") or {}
     up = params.up if params.up != "auto" else up_axis(recorded["inputs"][0]["path"])
     trim = params.trim if params.lamp else 0.0
@@ -113,8 +120,17 @@ def run(context: Context) -> Outcome:
     context.progress.start("fabricate", 3)
     bodies = tubes.tubes(graph, diameter / 2, params.sides)
     context.progress.advance(1, f"{len(bodies)} tubes")
-    warnings = ["the trained polygons are drawn: the interface of their generators has slivers"]
-    metrics: dict[str, Any] = {"up": up, "tube_diameter_mm": diameter, "tubes": len(bodies)}
+    warnings = []
+    if not triangles:
+        warnings.append(
+            "the trained polygons are drawn: the interface of their generators has slivers"
+        )
+    metrics: dict[str, Any] = {
+        "up": up,
+        "tube_diameter_mm": diameter,
+        "tubes": len(bodies),
+        "drawn": "dual" if triangles else "trained polygons",
+    }
     chosen = np.zeros(0, dtype=np.int64)
     cavity = None
     if params.lamp:
@@ -199,7 +215,7 @@ def recheck(paths: dict[str, Path]) -> dict[str, Any]:
 
 STAGE = Stage(
     name="fabricate",
-    version=1,
+    version=2,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "sphere-train"),

@@ -8,19 +8,33 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .sources.voxels import VoxelGrid
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import Floats
+
 JITTER = 1e-3
-"""Standard deviation of what is added to the first generators, in voxels."""
+"""Standard deviation of what is added to the paper's first generators, in voxels."""
+LEVELS = 3
+"""How often voxels are divided where the shape is thin, until the topology is the input's."""
+SPECK = 0.1
+"""Components that enclose less than this many voxels are removed."""
 
 
 @dataclass(frozen=True)
 class Params(contract.Params):
     """Options of the init stage."""
 
+    start: Literal["surface", "voxels"] = "surface"
+    """First generators: mirrored in the true surface, or in the voxels' boundary as the paper."""
     iterations: Annotated[int, Range(0, 100_000)] = 60
     """Adam iterations on the generators; the diagram is computed anew in each."""
     learning_rate: Positive = 0.02
@@ -33,8 +47,8 @@ class Params(contract.Params):
     """Weight of area uniformity."""
     weight_centroid: Positive = 0.1
     """Weight of centroid alignment."""
-    field_loss: Literal["distance", "level-set"] = "distance"
-    """For fields: the distance to first order, or the paper's level-set loss."""
+    shape_loss: Literal["distance", "level-set", "chamfer"] = "distance"
+    """Distance to the surface, or the paper's: level-set for fields, Chamfer for meshes."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
 
@@ -55,7 +69,6 @@ def run(context: Context) -> Outcome:
     from .voronoi.cleanup import clean
     from .voronoi.delaunay import delaunay
     from .voronoi.interface import interface, without_islands
-    from .voronoi.reflection import reflect
     from .voronoi.rings import ring_mesh, select_interface, voronoi_rings
     from .voronoi.vertices import voronoi_vertices
 
@@ -66,12 +79,8 @@ def run(context: Context) -> Outcome:
         stored["origin"], float(stored["spacing"]), stored["interior"], stored["exterior"]
     )
     frame = ModelFrame.of(stored)
-    start, inside = reflect(grid)
-    # Mirrored in a flat face the lattice of voxel centres goes on as a lattice, whose tetrahedra
-    # have no circumcentre to differentiate; a thousandth of a voxel off it they do.
-    jitter = context.random("jitter").standard_normal(start.shape)
-    start = start + JITTER * grid.spacing * jitter
-    generators = torch.tensor(frame.model_from_input(start), device=context.device)
+    start, inside, levels, expected = _first_generators(context, grid, frame)
+    generators = torch.tensor(start, device=context.device)
     generators.requires_grad_(True)
     shape_loss = shape.for_source(context, frame)
 
@@ -100,13 +109,18 @@ def run(context: Context) -> Outcome:
         "init",
     )
     trained = generators.detach().cpu().numpy()
-    trained, inside, islands = without_islands(trained, inside, smallest=1.0)
+    trained, inside, islands = without_islands(trained, inside, smallest=SPECK)
     surface = clean(interface(trained, inside), spacing=1.0)
     mesh = surface.mesh.with_vertices(frame.input_from_model(surface.mesh.vertices))
     facts = topology(mesh)
     warnings = []
     if islands:
         warnings.append(f"{islands} specks smaller than a voxel were removed from the surface")
+    if expected is not None and expected != (facts.euler_number, facts.components):
+        warnings.append(
+            f"the surface has Euler number {facts.euler_number} and {facts.components} components, "
+            f"the input {expected[0]} and {expected[1]}: raise -n"
+        )
     return Outcome(
         arrays={
             "generators": frame.input_from_model(trained),
@@ -122,6 +136,10 @@ def run(context: Context) -> Outcome:
             "inside_generators": int(inside.sum()),
             "topology": vars(facts),
             "specks_removed": islands,
+            "levels": levels,
+            "input_topology": None
+            if expected is None
+            else {"euler_number": expected[0], "components": expected[1]},
             "final_losses": dict(
                 zip(("shape", "normal", "area", "centroid"), history[-1], strict=True)
             )
@@ -133,9 +151,52 @@ def run(context: Context) -> Outcome:
     )
 
 
+def _first_generators(
+    context: Context, grid: VoxelGrid, frame: ModelFrame
+) -> tuple[Floats, NDArray[np.bool_], int, tuple[int, int] | None]:
+    """Generators in model units, their labels, how often voxels were divided, and the input's
+    Euler number and components if they are known."""
+    import numpy as np
+
+    from .sources.true_surface import true_surface
+    from .surface.topology import topology
+    from .voronoi.cleanup import clean
+    from .voronoi.interface import interface, without_islands
+    from .voronoi.mirror import mirrored
+    from .voronoi.reflection import reflect
+
+    source = context.source()
+    expected = source.topology()
+    if context.params.start == "voxels":
+        start, inside = reflect(grid)
+        # Mirrored in a flat face the lattice of voxel centres goes on as a lattice, whose
+        # tetrahedra have no circumcentre to differentiate; a thousandth of a voxel off it they do.
+        start = start + JITTER * grid.spacing * context.random("jitter").standard_normal(
+            start.shape
+        )
+        return frame.model_from_input(start), inside, 0, expected
+    surface = true_surface(source, frame, context.threads)
+    best: tuple[int, Floats, NDArray[np.bool_], int] | None = None
+    for levels in range(LEVELS + 1):
+        start, inside = mirrored(surface, grid.interior, levels, context.random("jitter", levels))
+        start, inside, _ = without_islands(start, inside, smallest=SPECK)
+        raw = interface(start, inside)
+        touching = np.unique(raw.generators)
+        facts = topology(clean(raw, spacing=1.0).mesh)
+        wrong = 0
+        if expected is not None:
+            wrong = abs(facts.euler_number - expected[0]) + abs(facts.components - expected[1])
+        if best is None or wrong < best[0]:
+            best = wrong, start[touching], inside[touching], levels
+        if wrong == 0:
+            break
+    assert best is not None
+    return *best[1:], expected
+
+
 STAGE = Stage(
     name="init",
-    version=1,
+    version=2,
     params=Params,
     run=run,
     parents=lambda params: ("classify",),

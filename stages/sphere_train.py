@@ -8,10 +8,16 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
+from .errors import UsageError
+
+if TYPE_CHECKING:
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import Floats, Ints, PolygonMesh
+    from .surface.topology import Topology
 
 NEIGHBOURS_EVERY = 10
 """Iterations between searches for spheres that may intrude."""
@@ -19,57 +25,203 @@ NEIGHBOUR_SLACK = 0.15
 """How much further than a sphere's radius is searched, for what moves in between."""
 CORRESPONDENCES_EVERY = 5
 """Iterations between nearest-point searches of the Chamfer loss."""
+MERGE = 1e-4
+"""In units of h0: edges of the diagram shorter than this are contracted where it is compared."""
 SMALLEST_OFFSET = 0.05
 """In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
+
+
+DEFAULTS: dict[str, dict[str, float]] = {
+    "triangle": {
+        "iterations": 160,
+        "learning_rate": 0.006,
+        "weight_intersection": 5.0,
+        "weight_exclusion": 5.0,
+        "weight_shape": 20.0,
+        "weight_normal": 0.2,
+    },
+    "polygon": {
+        "iterations": 800,
+        "learning_rate": 0.01,
+        "weight_intersection": 10.0,
+        "weight_exclusion": 10.0,
+        "weight_shape": 1.0,
+        "weight_normal": 0.1,
+    },
+}
+"""What an option that is not given is, by kind of faces."""
 
 
 @dataclass(frozen=True)
 class Params(contract.Params):
     """Options of the sphere-train stage."""
 
-    iterations: Annotated[int, Range(0, 1_000_000)] = 800
-    """Adam iterations on centres, radii and offsets."""
-    learning_rate: Positive = 0.01
-    """First Adam step, in units of the voxel edge h0; decays to 0 as a cosine."""
-    weight_intersection: Positive = 10.0
-    """Weight of the sphere-intersection loss."""
-    weight_exclusion: Positive = 10.0
+    faces: Literal["triangle", "polygon"] = "triangle"
+    """Triangles, whose surface conforms exactly, or the polygons of the paper."""
+    preset: Literal["default", "paper"] = "default"
+    """paper: its losses and weights; triangles are then polygons split at their centroids."""
+    edge_length: Annotated[float, Range(0.05, 10)] = 0.6
+    """Edge length of the triangles, in units of h0; shorter where the shape is thin."""
+    iterations: Annotated[int, Range(0, 1_000_000)] | None = None
+    """Adam iterations; default: 160 for triangles, 800 for polygons."""
+    learning_rate: Positive | None = None
+    """First Adam step; default: 0.006 edge lengths for triangles, 0.01 h0 for polygons; decays to 0
+    as a cosine."""
+    weight_intersection: Positive | None = None
+    """Weight of the sphere-intersection loss; for triangles, of pairs that are to exist."""
+    weight_exclusion: Positive | None = None
     """Weight of the exclusion loss."""
-    weight_shape: Positive = 1.0
+    weight_shape: Positive | None = None
     """Weight of the shape loss."""
-    weight_normal: Positive = 0.1
+    weight_normal: Positive | None = None
     """Weight of normal consistency."""
-    field_loss: Literal["distance", "level-set"] = "distance"
-    """For fields: the distance to first order, or the paper's level-set loss."""
+    weight_smooth: Positive = 0.02
+    """Weight of vertices near the mean of their neighbours (triangles)."""
+    weight_radius: Positive = 0.05
+    """Weight of radii near the mean of their neighbours' (triangles)."""
+    shape_loss: Literal["distance", "level-set", "chamfer"] | None = None
+    """Distance to the surface (the default), or the paper's: level-set for fields, Chamfer for
+    meshes (the default of the preset)."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.conforming and self.shape_loss not in (None, "distance"):
+            raise UsageError(
+                f"--shape-loss {self.shape_loss}: triangles are trained on the distance; add "
+                "--faces polygon or --preset paper"
+            )
+
+    @property
+    def conforming(self) -> bool:
+        """Whether triangles are trained whose pairs are in closed form."""
+        return self.faces == "triangle" and self.preset == "default"
+
+    def value(self, name: str) -> float:
+        """What was given for ``name``, or its default."""
+        given = getattr(self, name)
+        kind = "triangle" if self.conforming else "polygon"
+        return float(DEFAULTS[kind][name] if given is None else given)
+
 
 def run(context: Context) -> Outcome:
-    """The paper's sections 3.3 and 3.4 on polygon faces, then the diagram of all pairs."""
+    """Spheres and pairs of generators (the paper's sections 3.3 and 3.4), then the surface."""
+    import torch
+
+    torch.set_num_threads(context.threads)
+    return _triangles(context) if context.params.conforming else _polygons(context)
+
+
+def _triangles(context: Context) -> Outcome:
+    """Triangle faces: remeshed, trained until they conform, and certified."""
+    import numpy as np
+
+    from .metrics import watertight
+    from .optimize.conforming import Leg, Spheres, conform
+    from .sources.true_surface import true_surface
+    from .surface.geometry import fan_triangles
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import PolygonMesh
+    from .surface.remesh import remesh
+    from .surface.sizing import for_surface
+    from .surface.topology import topology
+    from .voronoi.certificate import certify
+    from .voronoi.cleanup import clean
+    from .voronoi.conformity import conformity
+    from .voronoi.interface import interface
+
+    params = context.params
+    frame = ModelFrame.of(context.arrays("classify"))
+    first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
+    first = first.with_vertices(frame.model_from_input(first.vertices))
+    surface = true_surface(context.source(), frame, context.threads)
+    length = for_surface(surface.samples, surface.normals, params.edge_length)
+    start = remesh(
+        *fan_triangles(first)[:2],
+        length,
+        lambda points, normals: surface.closest(points, normals)[0],
+        (surface.samples, surface.normals),
+    )
+    weights = {
+        name: params.value(f"weight_{name}")
+        for name in ("intersection", "exclusion", "shape", "normal")
+    } | {"smooth": params.weight_smooth, "radius": params.weight_radius}
+    spheres, history, rounds = conform(
+        Spheres.at(*start),
+        surface,
+        Leg(int(params.value("iterations")), params.value("learning_rate"), weights),
+        context.checkpoints,
+        context.progress,
+        context.threads,
+    )
+    trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
+    count = trained.face_count
+    points, square, _ = spheres.pairs()
+    outside, inside = points[:count], points[count:]
+    generators = np.concatenate([inside, outside])
+    labels = np.arange(2 * count) < count
+    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
+    certificate = certify(trained, spheres.radii, generators, labels, pairs, context.threads)
+    owner = np.arange(2 * count) % count
+    raw = interface(generators, labels)
+    agreement = conformity(
+        raw, owner, trained, spheres.radii, inside, outside, 1.0, context.threads
+    )
+    cleaned = clean(raw, spacing=1.0, merge=MERGE)
+    written, bounds = cleaned.mesh, owner[cleaned.generators]
+    if certificate.holds:
+        written, bounds = trained, np.stack([np.arange(count)] * 2, axis=1)
+    warnings = _topology_warnings(context, topology(written))
+    if not certificate.holds:
+        warnings.append(
+            f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
+            f"generators is written, {100 * agreement.pair_area_share:.3f} % of its area between "
+            "pairs; raise --iterations, or lower --edge-length"
+        )
+    return _outcome(
+        frame, spheres.radii, np.sqrt(np.maximum(square, 0.0)), trained, (inside, outside),
+        np.mean(spheres.lengths[spheres.triangles], axis=1) / params.edge_length, history,
+        written, bounds,
+        {
+            "certificate": vars(certificate) | {"failed": list(certificate.failed)},
+            "repair_rounds": rounds,
+            "topology": vars(topology(written)),
+            "trained_topology": vars(topology(trained)),
+            "conformity": vars(agreement),
+            "faces_after_merging": cleaned.mesh.face_count,
+        },
+        warnings, watertight.as_written,
+    )  # fmt: skip
+
+
+def _polygons(context: Context) -> Outcome:
+    """The paper's training on polygon faces, then the diagram of all pairs."""
     import numpy as np
     import torch
 
-    from .export import ply
     from .losses import regularization, shape, sphere
     from .metrics import watertight
     from .optimize.loop import Schedule, adam
     from .surface.frames import Connectivity, face_frames
     from .surface.geometry import face_frames as numpy_frames
+    from .surface.geometry import fan_triangles
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .surface.spheres import initial_spheres, near_pairs
     from .surface.topology import topology
+    from .voronoi.certificate import certify
     from .voronoi.cleanup import clean
     from .voronoi.conformity import conformity
     from .voronoi.interface import interface
     from .voronoi.pairs import label_pairs
 
-    torch.set_num_threads(context.threads)
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
     mesh = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
     mesh = mesh.with_vertices(frame.model_from_input(mesh.vertices))
+    if params.faces == "triangle":
+        mesh = PolygonMesh.of_triangles(*fan_triangles(mesh)[:2])
     first_radii, first_offsets = initial_spheres(mesh)
     parameters = {
         name: torch.tensor(values, device=context.device).requires_grad_(True)
@@ -111,8 +263,8 @@ def run(context: Context) -> Outcome:
     history = adam(
         parameters,
         losses,
-        {name: getattr(params, f"weight_{name}") for name in names},
-        Schedule(params.iterations, params.learning_rate, "cosine", checkpoint_every=50),
+        {name: params.value(f"weight_{name}") for name in names},
+        Schedule(int(params.value("iterations")), params.value("learning_rate"), "cosine", 50),
         context.checkpoints,
         context.progress,
         "sphere-train",
@@ -133,9 +285,10 @@ def run(context: Context) -> Outcome:
         raw, owner, trained, trained_radii, pairs.inside, pairs.outside, 1.0, context.threads
     )
     final = clean(raw, spacing=1.0)
-    surface = final.mesh.with_vertices(frame.input_from_model(final.mesh.vertices))
-    facts = topology(surface)
-    warnings = []
+    ends = np.stack([np.arange(count), count + np.arange(count)], axis=1)
+    labels = np.arange(2 * count) < count
+    certificate = certify(trained, trained_radii, generators, labels, ends, context.threads)
+    warnings = _topology_warnings(context, topology(final.mesh))
     if pairs.undecided:
         warnings.append(
             f"{pairs.undecided} generator pairs lie on one side of the trained surface and were "
@@ -149,23 +302,12 @@ def run(context: Context) -> Outcome:
         "the trained polygons are not exactly the interface of their generators: the interface is "
         f"written, {100 * agreement.pair_area_share:.1f} % of its area between pairs"
     )
-    return Outcome(
-        arrays={
-            "spheres/center": frame.input_from_model(trained_centres),
-            "spheres/radius": frame.spacing * trained_radii,
-            **trained.with_vertices(frame.input_from_model(trained_centres)).as_arrays("trained/"),
-            "trained/offset": frame.spacing * trained_offsets,
-            "generators/inside": frame.input_from_model(pairs.inside),
-            "generators/outside": frame.input_from_model(pairs.outside),
-            "spacing": np.full(count, frame.spacing),
-            "history": history,
-            **surface.as_arrays("surface/"),
-            "surface/face_generators": owner[final.generators],
-        },
-        files={"ply": ply.encode(surface)},
-        metrics={
-            "trained_faces": count,
-            "topology": vars(facts),
+    return _outcome(
+        frame, trained_radii, trained_offsets, trained, (pairs.inside, pairs.outside),
+        np.ones(count), history, final.mesh, owner[final.generators],
+        {
+            "certificate": vars(certificate) | {"failed": list(certificate.failed)},
+            "topology": vars(topology(final.mesh)),
             "trained_topology": vars(topology(trained)),
             "conformity": vars(agreement),
             "pairs": {
@@ -179,16 +321,66 @@ def run(context: Context) -> Outcome:
                 "dropped_faces": final.dropped_faces,
                 "kept_degenerate": final.kept_degenerate,
             },
-            "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
         },
+        warnings, watertight.as_written,
+    )  # fmt: skip
+
+
+def _topology_warnings(context: Context, found: Topology) -> list[str]:
+    """What to say when the written surface is not of the input's topology, or that is unknown."""
+    expected = context.source().topology()
+    if expected is None or expected == (found.euler_number, found.components):
+        return []
+    return [
+        f"the surface has Euler number {found.euler_number} and {found.components} components, "
+        f"the input {expected[0]} and {expected[1]}: raise -n"
+    ]
+
+
+def _outcome(
+    frame: ModelFrame,
+    radii: Floats,
+    offsets: Floats,
+    trained: PolygonMesh,
+    pairs: tuple[Floats, Floats],
+    spacing: Floats,
+    history: Floats,
+    written: PolygonMesh,
+    face_generators: Ints,
+    metrics: dict[str, Any],
+    warnings: list[str],
+    recheck: Any,
+) -> Outcome:
+    """The stage's files, in the input's coordinates."""
+    from .export import ply
+
+    surface = written.with_vertices(frame.input_from_model(written.vertices))
+    trained = trained.with_vertices(frame.input_from_model(trained.vertices))
+    names = ("intersection", "exclusion", "shape", "normal")
+    last = dict(zip(names, history[-1], strict=True)) if len(history) else {}
+    return Outcome(
+        arrays={
+            "spheres/center": trained.vertices,
+            "spheres/radius": frame.spacing * radii,
+            **trained.as_arrays("trained/"),
+            "trained/offset": frame.spacing * offsets,
+            "generators/inside": frame.input_from_model(pairs[0]),
+            "generators/outside": frame.input_from_model(pairs[1]),
+            "spacing": frame.spacing * spacing,
+            "history": history,
+            **surface.as_arrays("surface/"),
+            "surface/face_generators": face_generators,
+        },
+        files={"ply": ply.encode(surface)},
+        metrics={"trained_faces": trained.face_count, **metrics, "final_losses": last},
         warnings=warnings,
-        recheck=watertight.as_written,
+        recheck=recheck,
     )
 
 
 STAGE = Stage(
     name="sphere-train",
-    version=1,
+    version=2,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

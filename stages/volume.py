@@ -16,6 +16,10 @@ from .contract import Context, Outcome, Range, Stage
 CHECKPOINT_EVERY = 10
 
 
+MERGE = 1e-6
+"""In units of h0: edges shorter than this are contracted in the cells of a certified surface."""
+
+
 @dataclass(frozen=True)
 class Params(contract.Params):
     """Options of the volume stage."""
@@ -36,6 +40,7 @@ def run(context: Context) -> Outcome:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .voronoi.cells import open_cells, polyhedral_mesh
+    from .voronoi.certificate import certify
     from .voronoi.delaunay import delaunay
     from .voronoi.interface import interface
     from .voronoi.interior import Guard, lloyd_step, sample
@@ -49,7 +54,15 @@ def run(context: Context) -> Outcome:
     boundary = np.concatenate([within, without])
     labels = np.arange(len(boundary)) < len(within)
     before = interface(boundary, labels)
-    guard = Guard.of(boundary, labels, before)
+    mesh_trained = PolygonMesh.from_arrays(trained, "trained/")
+    mesh_trained = mesh_trained.with_vertices(frame.model_from_input(mesh_trained.vertices))
+    radii = trained["spheres/radius"] / frame.spacing
+    recorded = context.folder.manifest("sphere-train") or {}
+    certified = bool(recorded["metrics"]["certificate"]["holds"])
+    if certified:
+        guard = Guard(boundary, labels, mesh_trained.vertices, radii)
+    else:
+        guard = Guard.of(boundary, labels, before)
     mean_area = float(face_frames(before.mesh)[0].mean())
 
     found = context.checkpoints.latest()
@@ -76,11 +89,22 @@ def run(context: Context) -> Outcome:
     generators = np.concatenate([points, boundary])
     inside = np.concatenate([np.ones(len(points), bool), labels])
     diagram = delaunay(generators)
-    after = interface(generators, inside, diagram)
-    difference = same_surface(before, after, boundary, len(points))
+    if certified:
+        # The certificate is against all generators: with it the surface is the same to the bit.
+        count = mesh_trained.face_count
+        ends = len(points) + np.stack([np.arange(count), count + np.arange(count)], axis=1)
+        found_now = certify(mesh_trained, radii, generators, inside, ends, context.threads)
+        difference = (
+            None
+            if found_now.holds
+            else "the certificate fails (" + ", ".join(found_now.failed) + ")"
+        )
+    else:
+        after = interface(generators, inside, diagram)
+        difference = same_surface(before, after, boundary, len(points))
     if difference is not None:
         raise NumericalFailure(f"the inner generators changed the surface: {difference}")
-    mesh = polyhedral_mesh(generators, inside, diagram)
+    mesh = polyhedral_mesh(generators, inside, diagram, MERGE if certified else 0.0)
     unclosed = open_cells(mesh)
     volume = float(mesh.cell_volume.sum())
     surface = PolygonMesh.from_arrays(trained, "surface/")
@@ -131,7 +155,7 @@ def run(context: Context) -> Outcome:
 
 STAGE = Stage(
     name="volume",
-    version=1,
+    version=2,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "sphere-train"),

@@ -96,11 +96,11 @@ def test_a_manifest_from_before_an_option_was_there_is_stale(tmp_path: Path, cli
     assert cli("init", "sphere", "-n", 6, "--iterations", 2, cwd=tmp_path).returncode == 0
     path = tmp_path / "sphere.vorolight" / "init.json"
     record = json.loads(path.read_text())
-    del record["params"]["field_loss"]
+    del record["params"]["shape_loss"]
     record["fingerprint"] = "0" * 64
     path.write_text(json.dumps(record))
     done = cli("init", "--iterations", 2, "--dry-run", cwd=tmp_path)
-    assert "field_loss None -> distance" in done.stdout
+    assert "shape_loss None -> distance" in done.stdout
 
 
 def test_dry_run_says_why(heart_run: Path, cli: Cli) -> None:

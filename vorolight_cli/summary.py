@@ -31,7 +31,12 @@ def of(manifest: dict[str, Any], console: Console) -> str:
         "init": lambda: f"{metrics['generators']} generators, {_surface(metrics['topology'])}",
         "sphere-train": lambda: (
             f"{metrics['trained_faces']} trained faces; surface: {_surface(metrics['topology'])}; "
-            f"{100 * metrics['conformity']['pair_area_share']:.2f} % of its area between pairs"
+            + (
+                "certified to conform"
+                if metrics["certificate"]["holds"]
+                else f"{100 * metrics['conformity']['pair_area_share']:.2f} % of its area between "
+                "pairs, no certificate"
+            )
         ),
         "volume": lambda: (
             f"{metrics['cells']} cells, {metrics['open_cells']} open, surface unchanged, "
@@ -51,13 +56,17 @@ def of(manifest: dict[str, Any], console: Console) -> str:
 def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     """Name, value and reference of every figure of an evaluation."""
     distances, truth = metrics["chamfer"], metrics["reference_curvature"] or {}
-    bent = metrics["curvature"] or {}
+    bent, close = metrics["curvature"] or {}, metrics["fidelity"]
     topology = metrics["topology"]
     rows: list[tuple[str, ...]] = [
         ("figure", "surface", "reference"),
         ("CD^2 x 1e3", _number(distances["cd2"] * 1e3),
          f"sampling floor {distances['sampling_floor'] * 1e3:.4g}"),
         (f"F1@{metrics['protocol']['threshold']:g}", _number(distances["f1"]), "1"),
+        ("sample-to-surface CD^2 x 1e3", _number(close["surface_cd2"] * 1e3), "0"),
+        ("normal consistency", _number(close["normal_consistency"]), "1"),
+        ("dihedral mean curvature", _number(metrics["dihedral_mean_curvature"]),
+         "" if metrics["reference_dihedral"] is None else _number(metrics["reference_dihedral"])),
     ]  # fmt: skip
     for key, name in (("mean", "mean |H|"), ("std", "std |H|"), ("median", "median |H|"),
                       ("p95", "P95 |H|"), ("valid_share", "valid share of |H|")):  # fmt: skip
@@ -76,7 +85,10 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     if "conformity" in metrics:
         conformity, trained = metrics["conformity"], metrics["trained"]
         faces = f"{conformity['interface_faces']} / {conformity['trained_faces']}"
+        certificate = metrics["certificate"]
+        failed = "fails: " + ", ".join(certificate["failed"])
         rows += [
+            ("certificate", "holds" if certificate["holds"] else failed, ""),
             ("pair area share", _number(conformity["pair_area_share"]), "1"),
             ("interface faces / trained", faces, "equal"),
             ("sphere residual, rms in h^2", _number(conformity["residual_rms"]), "0"),

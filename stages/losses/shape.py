@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from ..errors import NumericalFailure
+from ..errors import NumericalFailure, UsageError
 from ..surface.frames import Frames
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats
 
 if TYPE_CHECKING:
     from ..contract import Context
+    from ..sources.true_surface import TrueSurface
+
+ON_SURFACE = 1e-6
+"""Distance, in units of h0, below which a sample counts as on the surface."""
 
 ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
 """``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
@@ -30,16 +34,42 @@ def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:
 
 
 def for_source(context: Context, frame: ModelFrame) -> ShapeLoss:
-    """The loss that a stage's parameters ask for: for fields or, by Chamfer, for meshes."""
+    """The loss that a stage's parameters ask for.
+
+    Raises UsageError when the input does not have it.
+    """
     from ..sources.fields import FieldSource
 
     source, params = context.source(), context.params
     if isinstance(source, FieldSource):
-        return (level_set if params.field_loss == "level-set" else first_order_distance)(
-            source.level, frame
-        )
+        if params.shape_loss == "chamfer":
+            raise UsageError("--shape-loss chamfer: a field has no target points; use level-set")
+        loss = level_set if params.shape_loss == "level-set" else first_order_distance
+        return loss(source.level, frame)
+    if params.shape_loss == "level-set":
+        raise UsageError("--shape-loss level-set: a mesh has no level set; use chamfer")
+    if params.shape_loss == "distance":
+        from ..sources.true_surface import true_surface
+
+        return Distance(true_surface(source, frame, context.threads))
     target = source.surface_samples(params.target_samples, context.random("target"))
     return Chamfer(frame.model_from_input(target), context.threads)
+
+
+class Distance:
+    """Mean squared distance of the samples to the true surface.
+
+    Closest points are found anew whenever ``refresh`` is set; in between they are taken as planes.
+    """
+
+    def __init__(self, surface: TrueSurface) -> None:
+        self.surface = surface
+        self.planes: Planes = (torch.zeros(0, 3), torch.zeros(0))
+
+    def __call__(self, samples: torch.Tensor, refresh: bool) -> torch.Tensor:
+        if refresh or len(self.planes[0]) != len(samples):
+            self.planes = tangent_planes(self.surface, samples, None)
+        return (to_planes(samples, self.planes) ** 2).mean()
 
 
 def first_order_distance(
@@ -108,3 +138,32 @@ class Chamfer:
         to_target = ((samples - target[self.forward]) ** 2).sum(1).mean()
         to_samples = ((target - samples.index_select(0, self.backward)) ** 2).sum(1).mean()
         return to_target + to_samples
+
+
+Planes = tuple[torch.Tensor, torch.Tensor]
+"""Unit normals ``(N, 3)`` and offsets ``(N,)`` of planes."""
+
+
+def tangent_planes(surface: TrueSurface, samples: torch.Tensor, normals: Floats | None) -> Planes:
+    """For each sample the plane through its closest surface point, across the way there.
+
+    Raises NumericalFailure when a sample is not finite.
+    """
+    here = samples.detach().cpu().numpy()
+    if not np.isfinite(here).all():
+        raise NumericalFailure("a surface vertex is not finite: the training diverged")
+    foot, outward = surface.closest(here, normals)
+    way = here - foot
+    distance = np.linalg.norm(way, axis=1, keepdims=True)
+    # On the surface the way has no direction; the normal there stands in.
+    direction = np.where(distance > ON_SURFACE, way / np.maximum(distance, ON_SURFACE), outward)
+    offset = (direction * foot).sum(axis=1)
+    return (
+        torch.as_tensor(direction, device=samples.device),
+        torch.as_tensor(offset, device=samples.device),
+    )
+
+
+def to_planes(samples: torch.Tensor, planes: Planes) -> torch.Tensor:
+    """Signed distances ``(N,)`` of samples to their planes."""
+    return (samples * planes[0]).sum(1) - planes[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -39,6 +39,46 @@ class Schedule:
         return 0.5 * self.rate * (1 + math.cos(math.pi * iteration / self.iterations))
 
 
+class Moments:
+    """Adam's running means of gradients and of their squares, for named tensors.
+
+    Written out: importing torch.optim costs two seconds, more than some stages need in all.
+    """
+
+    def __init__(self, parameters: Mapping[str, torch.Tensor]) -> None:
+        self.parameters = parameters
+        self.means = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
+        self.squares = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
+
+    def step(self, gradients: Sequence[torch.Tensor], iteration: int, rate: float) -> None:
+        """Move the parameters; ``iteration`` counts from 0."""
+        rate /= 1 - BETA1 ** (iteration + 1)
+        with torch.no_grad():
+            for (name, tensor), gradient in zip(self.parameters.items(), gradients, strict=True):
+                mean, square = self.means[name], self.squares[name]
+                mean.mul_(BETA1).add_(gradient, alpha=1 - BETA1)
+                square.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+                scale = (square / (1 - BETA2 ** (iteration + 1))).sqrt_().add_(EPSILON)
+                tensor.addcdiv_(mean, scale, value=-rate)
+
+    def as_arrays(self) -> dict[str, np.ndarray]:
+        """Parameters and moments, to be stored."""
+        arrays = {}
+        for name, tensor in self.parameters.items():
+            arrays[name] = tensor.detach().cpu().numpy()
+            arrays[f"{name}.mean"] = self.means[name].cpu().numpy()
+            arrays[f"{name}.square"] = self.squares[name].cpu().numpy()
+        return arrays
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take back what ``as_arrays`` gave."""
+        with torch.no_grad():
+            for name, tensor in self.parameters.items():
+                tensor.copy_(torch.as_tensor(arrays[name]))
+                self.means[name].copy_(torch.as_tensor(arrays[f"{name}.mean"]))
+                self.squares[name].copy_(torch.as_tensor(arrays[f"{name}.square"]))
+
+
 def adam(
     parameters: Mapping[str, torch.Tensor],
     losses: Losses,
@@ -54,20 +94,14 @@ def adam(
     unweighted losses. Raises NumericalFailure when a loss or gradient is not finite.
     """
     tensors = list(parameters.values())
-    # Written out: importing torch.optim costs two seconds, more than some stages need in all.
-    means = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
-    squares = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
+    moments = Moments(parameters)
     history = np.zeros((schedule.iterations, len(weights)))
     first = 0
     found = checkpoints.latest()
     if found is not None:
         first, state = found
         history[:first] = state["history"]
-        with torch.no_grad():
-            for name, tensor in parameters.items():
-                tensor.copy_(torch.as_tensor(state[name]))
-                means[name].copy_(torch.as_tensor(state[f"{name}.mean"]))
-                squares[name].copy_(torch.as_tensor(state[f"{name}.square"]))
+        moments.restore(state)
     progress.start(label, schedule.iterations)
     for iteration in range(first, schedule.iterations):
         terms = losses(iteration)
@@ -81,19 +115,9 @@ def adam(
                 f"{label}: a loss or gradient is not finite at iteration {iteration}; "
                 "lower --learning-rate"
             )
-        rate = schedule.rate_at(iteration) / (1 - BETA1 ** (iteration + 1))
-        with torch.no_grad():
-            for (name, tensor), gradient in zip(parameters.items(), gradients, strict=True):
-                means[name].mul_(BETA1).add_(gradient, alpha=1 - BETA1)
-                squares[name].mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
-                scale = (squares[name] / (1 - BETA2 ** (iteration + 1))).sqrt_().add_(EPSILON)
-                tensor.addcdiv_(means[name], scale, value=-rate)
+        moments.step(gradients, iteration, schedule.rate_at(iteration))
         progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
         if (iteration + 1) % schedule.checkpoint_every == 0 and iteration + 1 < schedule.iterations:
-            saved = {"history": history[: iteration + 1]}
-            for name, tensor in parameters.items():
-                saved[name] = tensor.detach().cpu().numpy()
-                saved[f"{name}.mean"] = means[name].cpu().numpy()
-                saved[f"{name}.square"] = squares[name].cpu().numpy()
+            saved = {"history": history[: iteration + 1], **moments.as_arrays()}
             checkpoints.save(iteration + 1, saved)
     return history

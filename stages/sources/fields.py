@@ -79,6 +79,15 @@ class FieldSource:
         x, y, z = points.unbind(1)
         return FIELDS[self.name].formula(x, y, z, torch)
 
+    def gradient(self, points: Floats) -> tuple[Floats, Floats]:
+        """F ``(N,)`` and its gradient ``(N, 3)`` at ``points (N, 3)``."""
+        import torch
+
+        at = torch.tensor(points, requires_grad=True)
+        value = self.level(at)
+        (slope,) = torch.autograd.grad(value.sum(), at)
+        return value.detach().numpy(), slope.numpy()
+
     def mean_curvature(self, points: Floats) -> Floats:
         """``H = div(grad F / |grad F|) / 2`` at ``points (N, 3)``, by automatic differentiation."""
         import torch
@@ -126,6 +135,9 @@ class FieldSource:
             found.append(offset[line] + (0.5 * (low + high))[:, None] * direction[line])
             total += len(line)
         return np.concatenate(found)[:count]
+
+    def topology(self) -> tuple[int, int] | None:
+        return None
 
     def describe(self) -> dict[str, Any]:
         return {"kind": self.kind, "name": self.name}

@@ -1,4 +1,4 @@
-"""A mesh as a source: inside by ray parity, as the paper."""
+"""A mesh as a source: inside by winding number, by ray parity where it is open."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import bad_edges, edges
+from ..surface.topology import bad_edges, edges, topology
 from .mesh_file import load
 from .parity import RayParity
 
@@ -54,7 +54,10 @@ class MeshSource:
         return [RayParity(self.vertices, self.triangles, d) for d in directions]
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
-        """One ray on a closed mesh; the majority of three directions on an open one."""
+        """The winding number is not zero; on an open mesh, where there is none, the majority of
+        three rays' parities."""
+        if self.open_edges == 0:
+            return self._rays[0].winding(points) != 0
         votes = np.sum([rays.inside(points) for rays in self._rays], axis=0)
         return np.asarray(votes * 2 > len(self._rays))
 
@@ -66,6 +69,13 @@ class MeshSource:
         ends: Ints = edges(self._welded)
         at = self._welded.vertices[ends]
         return float(np.median(np.linalg.norm(at[:, 0] - at[:, 1], axis=1)))
+
+    def topology(self) -> tuple[int, int] | None:
+        """Of a closed mesh: a vertex where several fans of faces meet counts once for each."""
+        if self.open_edges:
+            return None
+        facts = topology(self._welded)
+        return facts.euler_number + facts.pinched_vertices, facts.components
 
     def describe(self) -> dict[str, Any]:
         return {

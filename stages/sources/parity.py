@@ -35,9 +35,11 @@ class RayParity:
         """``direction`` 0, 1 or 2 picks one of three perpendicular ray directions."""
         self.frame = np.roll(_rotation(), direction, axis=0)
         placed = vertices @ self.frame.T
-        ordered = np.sort(triangles, axis=1)
         # Two equal corners make no triangle and cross nothing.
-        ordered = ordered[(ordered[:, 0] < ordered[:, 1]) & (ordered[:, 1] < ordered[:, 2])]
+        whole = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
+        order = np.argsort(triangles[whole], axis=1)
+        ordered = np.take_along_axis(triangles[whole], order, axis=1)
+        self.turned = (order[:, 1] - order[:, 0]) % 3 == 2
         self.corners = placed[ordered]
         low, high = self.corners[..., :2].min(axis=1), self.corners[..., :2].max(axis=1)
         self.origin = low.min(axis=0) if len(low) else np.zeros(2)
@@ -64,21 +66,33 @@ class RayParity:
         return np.clip(place, 0, self.bins - 1).astype(np.int64)
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
-        """Whether each of ``points (N, 3)`` is inside, ``(N,) bool``."""
+        """Whether the ray from each of ``points (N, 3)`` meets the surface an odd number of
+        times, ``(N,) bool``."""
+        return self._crossings(points)[0] % 2 == 1
+
+    def winding(self, points: Floats) -> Ints:
+        """The winding number ``(N,)`` of a closed oriented surface about ``points (N, 3)``: 1
+        inside a surface whose normals point outward, 2 where two such bodies overlap."""
+        return self._crossings(points)[1]
+
+    def _crossings(self, points: Floats) -> tuple[Ints, Ints]:
         placed = points @ self.frame.T
         cells = self._bin(placed[:, :2]) @ np.array([self.bins, 1])
         begin, end = self.starts[cells], self.starts[cells + 1]
-        result = np.zeros(len(points), dtype=bool)
+        number = np.zeros(len(points), dtype=np.int64)
+        signed = np.zeros(len(points), dtype=np.int64)
         total = np.cumsum(end - begin)
         at = 0
         while at < len(points):
             done = total[at - 1] if at else 0
             stop = max(at + 1, int(np.searchsorted(total, done + PAIRS_AT_ONCE, side="right")))
-            result[at:stop] = self._odd(placed[at:stop], begin[at:stop], end[at:stop])
+            number[at:stop], signed[at:stop] = self._count(
+                placed[at:stop], begin[at:stop], end[at:stop]
+            )
             at = stop
-        return result
+        return number, signed
 
-    def _odd(self, points: Floats, begin: Ints, end: Ints) -> NDArray[np.bool_]:
+    def _count(self, points: Floats, begin: Ints, end: Ints) -> tuple[Ints, Ints]:
         count = end - begin
         owner = np.repeat(np.arange(len(points)), count)
         within = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
@@ -97,4 +111,8 @@ class RayParity:
         normal = np.cross(edge1, edge2)
         reach = np.einsum("ij,ij->i", corner[:, 0] - points[owner], normal)
         above = reach * normal[:, 2] > 0
-        return np.asarray(np.bincount(owner[above], minlength=len(points)) % 2 == 1)
+        # A ray leaves the body through a triangle that faces along it.
+        leaving = np.where((normal[:, 2] > 0) != self.turned[member[hit]], 1, -1)
+        number = np.bincount(owner[above], minlength=len(points))
+        signed = np.bincount(owner[above], leaving[above], minlength=len(points))
+        return number, np.rint(signed).astype(np.int64)

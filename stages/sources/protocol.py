@@ -37,6 +37,10 @@ class Source(Protocol):
         """``count`` points on the surface, uniform by area, ``(count, 3)``."""
         ...
 
+    def topology(self) -> tuple[int, int] | None:
+        """Euler number, pinched vertices split, and number of components, where they are known."""
+        ...
+
     def describe(self) -> dict[str, Any]:
         """What was understood of the input, for the manifest."""
         ...

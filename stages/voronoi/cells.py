@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surface.edits import contract_short_edges, reduce_rings
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from .cleanup import settle
@@ -62,9 +63,16 @@ class PolyhedralMesh:
 
 
 def polyhedral_mesh(
-    generators: Floats, inside: NDArray[np.bool_], tetrahedra: Tetrahedra
+    generators: Floats,
+    inside: NDArray[np.bool_],
+    tetrahedra: Tetrahedra,
+    merge: float = 0.0,
 ) -> PolyhedralMesh:
-    """The cells of all inside generators of a diagram."""
+    """The cells of all inside generators of a diagram.
+
+    Edges shorter than ``merge`` are contracted and faces without three corners dropped: where
+    more than four generators lie on one sphere the diagram has them by rounding only.
+    """
 
     def select(a: Ints, b: Ints) -> NDArray[np.int8]:
         a_in, b_in = inside[a], inside[b]
@@ -76,10 +84,14 @@ def polyhedral_mesh(
     )
     flat = surface.flatness < FLAT
     faces = surface.mesh.with_vertices(settle(surface.mesh.vertices, surface.mesh, flat))
-    cell_generator = np.unique(surface.generators[inside[surface.generators]])
+    pairs = surface.generators
+    if merge > 0:
+        faces, kept = reduce_rings(faces, contract_short_edges(faces, merge))
+        faces, pairs = faces.without_unused_vertices(), pairs[kept]
+    cell_generator = np.unique(pairs[inside[pairs]])
     cell = np.full(len(generators), -1, dtype=np.int64)
     cell[cell_generator] = np.arange(len(cell_generator))
-    owner, neighbour = cell[surface.generators[:, 0]], cell[surface.generators[:, 1]]
+    owner, neighbour = cell[pairs[:, 0]], cell[pairs[:, 1]]
     area, normal, centre = face_frames(faces)
     volume = np.zeros(len(cell_generator))
     for sign, side in ((1.0, owner), (-1.0, neighbour)):

@@ -1,0 +1,76 @@
+"""Distances from samples to surfaces, which have no sampling floor, and agreement of normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..sources.projection import ClosestPoint
+from ..sources.true_surface import TrueSurface
+from ..surface.geometry import sample_triangles
+from ..surface.polygons import Floats, Ints
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """Of a surface against the true one, in the frame the surface was given in."""
+
+    surface_cd2: float
+    """Mean squared distance of samples to the other surface, both ways added."""
+    to_reference_cd2: float
+    """The part from the surface to the true one."""
+    from_reference_cd2: float
+    rms: float
+    """Square root of half of surface_cd2."""
+    p99: float
+    """Of the distances, both ways together."""
+    normal_consistency: float
+    """Mean cosine between the normals at samples and at their closest points, both ways."""
+
+    def scaled(self, factor: float) -> Fidelity:
+        """The same in a frame whose lengths are ``factor`` times as large."""
+        return replace(
+            self,
+            surface_cd2=factor**2 * self.surface_cd2,
+            to_reference_cd2=factor**2 * self.to_reference_cd2,
+            from_reference_cd2=factor**2 * self.from_reference_cd2,
+            rms=factor * self.rms,
+            p99=factor * self.p99,
+        )
+
+
+def fidelity(
+    vertices: Floats,
+    triangles: Ints,
+    surface: TrueSurface,
+    reference: tuple[Floats, Floats],
+    count: int,
+    random: np.random.Generator,
+    threads: int = 1,
+) -> Fidelity:
+    """Compare a triangle surface with ``surface``, of which ``reference`` are points and normals.
+
+    ``count`` points are sampled on the triangles. Lengths are in model units.
+    """
+    own = ClosestPoint(vertices, triangles, 0.0, threads)
+    points, owner = sample_triangles(vertices, triangles, count, random)
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = (normal / np.maximum(size, np.finfo(float).tiny))[owner]
+    foot, outward = surface.closest(points)
+    there = ((points - foot) ** 2).sum(axis=1)
+    place, facing = own(reference[0])
+    back = ((reference[0] - place) ** 2).sum(axis=1)
+    forward, backward = float(there.mean()), float(back.mean())
+    agreement = np.einsum("ij,ij->i", normal, outward).mean()
+    agreement += np.einsum("ij,ij->i", facing, reference[1]).mean()
+    return Fidelity(
+        surface_cd2=forward + backward,
+        to_reference_cd2=forward,
+        from_reference_cd2=backward,
+        rms=float(np.sqrt(0.5 * (forward + backward))),
+        p99=float(np.sqrt(np.percentile(np.concatenate([there, back]), 99))),
+        normal_consistency=0.5 * float(agreement),
+    )

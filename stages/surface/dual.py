@@ -1,0 +1,49 @@
+"""The dual of a closed surface: one polygon a vertex, one corner a face."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .geometry import face_frames
+from .polygons import PolygonMesh
+
+
+def dual(mesh: PolygonMesh) -> PolygonMesh:
+    """Face v joins the centroids of the faces around vertex v of ``mesh``, in order.
+
+    Vertices that no face uses give no polygon. Raises ValueError when the surface is not closed or
+    the faces at a vertex are not one fan.
+    """
+    _, _, centroid = face_frames(mesh)
+    count = mesh.vertex_count
+    start, end, face = mesh.face_vertices, mesh.next_vertices, mesh.corner_faces
+    # Around a vertex v the face after f, counter-clockwise, has f's edge that ends in v.
+    leaving = start * count + end
+    order = np.argsort(leaving)
+    arriving = np.searchsorted(leaving[order], end * count + start)
+    if (arriving >= len(order)).any() or (
+        leaving[order[np.minimum(arriving, len(order) - 1)]] != end * count + start
+    ).any():
+        raise ValueError("the surface is not closed")
+    # Half-edge (v -> w) of f: its twin (w -> v) lies in the next face clockwise around v, whose
+    # own half-edge from v follows the twin in its ring.
+    twin = order[arriving]
+    position = np.arange(len(start))
+    following = position + 1
+    full = mesh.valences > 0
+    following[mesh.face_offsets[1:][full] - 1] = mesh.face_offsets[:-1][full]
+    clockwise = following[twin]
+    corner = np.full(count, -1, dtype=np.int64)
+    corner[start[::-1]] = position[::-1]
+    used = np.flatnonzero(corner >= 0)
+    valence = np.bincount(start, minlength=count)[used]
+    offsets = np.concatenate([[0], np.cumsum(valence)]).astype(np.int64)
+    rings = np.empty(offsets[-1], dtype=np.int64)
+    here = corner[used]
+    for step in range(int(valence.max(initial=0))):
+        more = valence > step
+        rings[offsets[1:][more] - 1 - step] = face[here[more]]
+        here = clockwise[here]
+    if (here[valence == valence.max(initial=0)] != corner[used][valence == valence.max()]).any():
+        raise ValueError("the faces at a vertex are not one fan")
+    return PolygonMesh(centroid, offsets, rings)

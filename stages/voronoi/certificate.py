@@ -1,0 +1,158 @@
+"""The certificate: a trained surface equals the interface of its generators' Voronoi diagram.
+
+In exact arithmetic it does if
+
+1. ``incident``: every generator lies on the spheres of its face's corners;
+2. ``exclusion``: no generator lies inside any other sphere;
+3. ``rings``: each face is a convex planar polygon of nonzero area, every edge is in two faces with
+   opposite directions, every vertex in three faces or more;
+4. ``orientation``: each face's normal points from its inside to its outside generator;
+5. ``winding``: the surface winds once around every inside generator, and around no outside one.
+
+Differences of powers are affine on a face, so by 1 and 2 each face lies in the Voronoi face of its
+pair, and no open cell crosses the surface; by 4 and 5 there is no other interface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sources.parity import RayParity
+from ..surface.geometry import face_frames, fan_triangles
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.topology import bad_edges
+
+TAU = 1e-8
+"""Largest ``|power|`` of a face's generator to a sphere of its corners, in units of h0^2."""
+MARGIN = 1e-5
+"""Smallest power of another generator, in units of h0^2."""
+PLANAR = 1e-8
+"""Largest distance of a corner from its face's plane, in units of h0."""
+REACH = 0.5
+"""How far beyond a sphere, in units of h0, generators are looked at."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was found; lengths in units of h0."""
+
+    holds: bool
+    failed: tuple[str, ...]
+    """The conditions that do not hold: incident, exclusion, rings, orientation, winding."""
+    incident_power: float
+    """tau: the largest ``|power|`` of a face's generator to its spheres."""
+    margin: float
+    """m: the smallest power of a generator to a sphere not of its face, REACH^2 at the most."""
+    intruders: int
+    """Pairs of a generator and a sphere not of its face with a power below the margin."""
+    bad_rings: int
+    """Faces that are not convex, planar or solid, and edges not in two faces."""
+    turned_faces: int
+    wound_wrongly: int
+    """Generators on the wrong side of the surface."""
+    smallest_offset: float
+    """Half the distance between the two generators of a face, at its least."""
+    conforms_within: float
+    """How far a face may lie from the bisector of its pair in floating point."""
+
+
+def certify(
+    trained: PolygonMesh,
+    radii: Floats,
+    generators: Floats,
+    inside: NDArray[np.bool_],
+    face_generators: Ints,
+    threads: int = 1,
+) -> Certificate:
+    """Check ``trained`` with spheres ``radii (V,)`` against ``generators (N, 3)``.
+
+    ``inside (N,)`` are their labels, ``face_generators (F, 2)`` the inside and the outside one of
+    each face. All in model units.
+    """
+    corner, face = trained.face_vertices, trained.corner_faces
+    first, second = face_generators[:, 0], face_generators[:, 1]
+    own = np.concatenate(
+        [
+            ((generators[index[face]] - trained.vertices[corner]) ** 2).sum(axis=1)
+            - radii[corner] ** 2
+            for index in (first, second)
+        ]
+    )
+    tau = float(np.abs(own).max(initial=0.0))
+    others = _other_powers(trained, radii, generators, face_generators, threads)
+    margin = float(others.min(initial=REACH**2))
+    area, normal, _ = face_frames(trained)
+    way = generators[second] - generators[first]
+    length = np.linalg.norm(way, axis=1)
+    turned = int((np.einsum("ij,ij->i", way, normal) <= 0).sum())
+    rings = int((~_sound_rings(trained, area, normal)).sum()) + len(bad_edges(trained))
+    rings += int((np.bincount(corner, minlength=1) == 2).sum())
+    vertices, triangles, _ = fan_triangles(trained)
+    wound = int((RayParity(vertices, triangles).winding(generators) != inside).sum())
+    labels = inside[first] & ~inside[second]
+    failed = {
+        "incident": tau > TAU,
+        "exclusion": margin < MARGIN,
+        "rings": rings > 0,
+        "orientation": turned > 0 or not bool(labels.all()),
+        "winding": wound > 0,
+    }
+    return Certificate(
+        holds=trained.face_count > 0 and not any(failed.values()),
+        failed=tuple(name for name, bad in failed.items() if bad),
+        incident_power=tau,
+        margin=margin,
+        intruders=int((others < MARGIN).sum()),
+        bad_rings=rings,
+        turned_faces=turned,
+        wound_wrongly=wound,
+        smallest_offset=0.5 * float(length.min(initial=np.inf)),
+        conforms_within=tau / max(float(length.min(initial=np.inf)), np.finfo(float).tiny),
+    )
+
+
+def _other_powers(
+    trained: PolygonMesh, radii: Floats, generators: Floats, face_generators: Ints, threads: int
+) -> Floats:
+    """Powers of the generators that are in or near a sphere of none of their faces."""
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(generators).query_ball_point(
+        trained.vertices, np.sqrt(radii**2 + REACH**2), workers=threads, return_sorted=True
+    )
+    count = np.fromiter((len(row) for row in found), np.int64, len(found))
+    point = np.concatenate([np.asarray(row, np.int64) for row in found])
+    sphere = np.repeat(np.arange(trained.vertex_count), count)
+    # Only spheres of faces count: a vertex that no face uses has none.
+    used = np.zeros(trained.vertex_count, dtype=bool)
+    used[trained.face_vertices] = True
+    incident = (face_generators[trained.corner_faces] * trained.vertex_count).T
+    own = np.unique((incident + trained.face_vertices).reshape(-1))
+    apart = ~np.isin(point * trained.vertex_count + sphere, own) & used[sphere]
+    point, sphere = point[apart], sphere[apart]
+    reach = ((generators[point] - trained.vertices[sphere]) ** 2).sum(axis=1)
+    return np.asarray(reach - radii[sphere] ** 2)
+
+
+def _sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
+    """Faces that are planar and turn to the left at every corner, once around."""
+    face, here, after = mesh.corner_faces, mesh.face_vertices, mesh.next_vertices
+    position = np.arange(len(here))
+    following = position + 1
+    full = mesh.valences > 0
+    following[mesh.face_offsets[1:][full] - 1] = mesh.face_offsets[:-1][full]
+    into = mesh.vertices[after] - mesh.vertices[here]
+    out = into[following]
+    axis = normal[face]
+    sine = np.einsum("ij,ij->i", np.cross(into, out), axis)
+    turn = np.arctan2(sine, np.einsum("ij,ij->i", into, out))
+    start = mesh.vertices[mesh.face_vertices[mesh.face_offsets[face]]]
+    height = np.abs(np.einsum("ij,ij->i", mesh.vertices[here] - start, axis))
+    bad_corner = (sine <= 0) | (height > PLANAR) | (here == after)
+    sound = (area > 0) & (mesh.valences >= 3)
+    sound[face[bad_corner]] = False
+    total = np.bincount(face, turn, minlength=mesh.face_count)
+    return np.asarray(sound & (np.abs(total - 2 * np.pi) < 1.0))
