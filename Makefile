@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench check schemas pictures clean always
+.PHONY: lamp run test test-all bench table check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -62,6 +62,12 @@ test-all: $(VENV)/tested-with
 
 bench: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/interface.py
+
+# Certificate, distances and smoothness of shapes, beside another method's.
+MESHES ?= $(wildcard *.ply)
+table: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(FACES) \
+		$(if $(PEER),--peer $(PEER)) $(if $(wildcard $(MESHES)/*.ply),$(wildcard $(MESHES)/*.ply),$(MESHES))
 
 # Lint, and type-check the package as the wheel installs it.
 check: $(VENV)/tested-with

@@ -35,7 +35,7 @@ class Params(contract.Params):
 
     start: Literal["surface", "voxels"] = "surface"
     """First generators: mirrored in the true surface, or in the voxels' boundary as the paper."""
-    iterations: Annotated[int, Range(0, 100_000)] = 60
+    iterations: Annotated[int, Range(0, 100_000)] = 20
     """Adam iterations on the generators; the diagram is computed anew in each."""
     learning_rate: Positive = 0.02
     """Adam step, in units of the voxel edge h0."""
@@ -82,7 +82,7 @@ def run(context: Context) -> Outcome:
     start, inside, levels, expected = _first_generators(context, grid, frame)
     generators = torch.tensor(start, device=context.device)
     generators.requires_grad_(True)
-    shape_loss = shape.for_source(context, frame)
+    shape_loss = shape.for_source(context, frame, params.shape_loss)
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:
         here = generators.detach().cpu().numpy()

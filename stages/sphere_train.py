@@ -23,8 +23,8 @@ NEIGHBOURS_EVERY = 10
 """Iterations between searches for spheres that may intrude."""
 NEIGHBOUR_SLACK = 0.15
 """How much further than a sphere's radius is searched, for what moves in between."""
-CORRESPONDENCES_EVERY = 5
-"""Iterations between nearest-point searches of the Chamfer loss."""
+CORRESPONDENCES_EVERY = 10
+"""Iterations between nearest-point searches of the shape loss."""
 MERGE = 1e-4
 """In units of h0: edges of the diagram shorter than this are contracted where it is compared."""
 SMALLEST_OFFSET = 0.05
@@ -43,13 +43,21 @@ DEFAULTS: dict[str, dict[str, float]] = {
     "polygon": {
         "iterations": 800,
         "learning_rate": 0.01,
+        "weight_intersection": 60.0,
+        "weight_exclusion": 10.0,
+        "weight_shape": 1.0,
+        "weight_normal": 0.1,
+    },
+    "paper": {
+        "iterations": 800,
+        "learning_rate": 0.01,
         "weight_intersection": 10.0,
         "weight_exclusion": 10.0,
         "weight_shape": 1.0,
         "weight_normal": 0.1,
     },
 }
-"""What an option that is not given is, by kind of faces."""
+"""What an option that is not given is, by kind of faces or by preset."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +109,7 @@ class Params(contract.Params):
     def value(self, name: str) -> float:
         """What was given for ``name``, or its default."""
         given = getattr(self, name)
-        kind = "triangle" if self.conforming else "polygon"
+        kind = "paper" if self.preset == "paper" else self.faces
         return float(DEFAULTS[kind][name] if given is None else given)
 
 
@@ -136,6 +144,13 @@ def _triangles(context: Context) -> Outcome:
     first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
     first = first.with_vertices(frame.model_from_input(first.vertices))
     surface = true_surface(context.source(), frame, context.threads)
+    expected, given = context.source().topology(), topology(first)
+    from_input = expected not in (None, (given.euler_number, given.components))
+    if from_input:
+        # The topology is known and the initial surface misses it; that of the input itself is kept
+        # by everything that follows.
+        first = context.source().manifold()
+        first = first.with_vertices(frame.model_from_input(first.vertices))
     length = for_surface(surface.samples, surface.normals, params.edge_length)
     start = remesh(
         *fan_triangles(first)[:2],
@@ -173,6 +188,10 @@ def _triangles(context: Context) -> Outcome:
     if certificate.holds:
         written, bounds = trained, np.stack([np.arange(count)] * 2, axis=1)
     warnings = _topology_warnings(context, topology(written))
+    if from_input:
+        warnings.append(
+            "the initial surface has not the input's topology: the input's triangles were remeshed"
+        )
     if not certificate.holds:
         warnings.append(
             f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
@@ -186,6 +205,7 @@ def _triangles(context: Context) -> Outcome:
         {
             "certificate": vars(certificate) | {"failed": list(certificate.failed)},
             "repair_rounds": rounds,
+            "started_from": "input" if from_input else "init",
             "topology": vars(topology(written)),
             "trained_topology": vars(topology(trained)),
             "conformity": vars(agreement),
@@ -231,7 +251,8 @@ def _polygons(context: Context) -> Outcome:
     }  # fmt: skip
     centres, radii, offsets = parameters.values()
     connectivity = Connectivity.of(mesh, context.device)
-    shape_loss = shape.for_source(context, frame)
+    usual = "distance" if params.preset == "default" else "paper"
+    shape_loss = shape.for_source(context, frame, params.shape_loss or usual)
     near: list[torch.Tensor] = []
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:
@@ -310,6 +331,7 @@ def _polygons(context: Context) -> Outcome:
             "topology": vars(topology(final.mesh)),
             "trained_topology": vars(topology(trained)),
             "conformity": vars(agreement),
+            "faces_after_merging": clean(raw, spacing=1.0, merge=MERGE).mesh.face_count,
             "pairs": {
                 "relabelled": pairs.relabelled,
                 "undecided": pairs.undecided,

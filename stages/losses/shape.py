@@ -33,8 +33,8 @@ def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:
     return torch.cat([vertices, frames.centroid, frames.fan_centres])
 
 
-def for_source(context: Context, frame: ModelFrame) -> ShapeLoss:
-    """The loss that a stage's parameters ask for.
+def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss:
+    """The loss ``kind``: distance, level-set, chamfer, or paper for whichever of the last two fits.
 
     Raises UsageError when the input does not have it.
     """
@@ -42,13 +42,12 @@ def for_source(context: Context, frame: ModelFrame) -> ShapeLoss:
 
     source, params = context.source(), context.params
     if isinstance(source, FieldSource):
-        if params.shape_loss == "chamfer":
+        if kind == "chamfer":
             raise UsageError("--shape-loss chamfer: a field has no target points; use level-set")
-        loss = level_set if params.shape_loss == "level-set" else first_order_distance
-        return loss(source.level, frame)
-    if params.shape_loss == "level-set":
+        return (first_order_distance if kind == "distance" else level_set)(source.level, frame)
+    if kind == "level-set":
         raise UsageError("--shape-loss level-set: a mesh has no level set; use chamfer")
-    if params.shape_loss == "distance":
+    if kind == "distance":
         from ..sources.true_surface import true_surface
 
         return Distance(true_surface(source, frame, context.threads))

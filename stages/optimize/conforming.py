@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 LEG = 20
 """Iterations between flips of edges, and between checkpoints."""
-REFRESH = 5
-"""Iterations between searches for closest points and for near spheres."""
+REFRESH, NEAR_EVERY = 10, 5
+"""Iterations between searches for closest points, and for near spheres."""
 SLACK = 0.12
 """How much further than a sphere's radius is searched, for what moves in between."""
 FIRST_RADIUS = 0.85
@@ -214,7 +214,7 @@ class _Training:
                 if iteration > begin:
                     self._save(checkpoints, store, history, iteration)
                 self._connect()
-            terms = self._losses(iteration % REFRESH == 0)
+            terms = self._losses(iteration)
             weights = self.leg.weights
             total = torch.stack([weights[key] * terms[key] for key in weights]).sum()
             gradients = list(torch.autograd.grad(total, list(self.parameters.values())))
@@ -263,16 +263,18 @@ class _Training:
         self.sample_weight = torch.as_tensor(hold)
         self.sample_length = torch.cat([self.length, self.face_length])
 
-    def _losses(self, refresh: bool) -> dict[str, torch.Tensor]:
+    def _losses(self, iteration: int) -> dict[str, torch.Tensor]:
         centres, radii = self._values()
         pairs = conforming.radical_pairs(centres, radii, self.corners)
         points = pairs.points(conforming.SMALLEST_SQUARE * self.face_length**2)
         middles = centres.index_select(0, self.corners.reshape(-1)).reshape(-1, 3, 3).mean(1)
         samples = torch.cat([centres, middles])
-        if refresh:
-            at, faces = centres.detach().numpy(), pairs.normal.detach().numpy()
+        at = centres.detach().numpy()
+        if iteration % REFRESH == 0:
+            faces = pairs.normal.detach().numpy()
             normals = np.concatenate([vertex_normals(at, self.triangles), faces])
             self.planes = shape.tangent_planes(self.surface, samples, normals)
+        if iteration % NEAR_EVERY == 0:
             near = near_pairs(
                 PolygonMesh.of_triangles(at, self.triangles),
                 points.detach().numpy(), at, radii.detach().numpy(), SLACK, self.threads,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.polygons import Floats
+from ..surface.polygons import Floats, PolygonMesh
 
 Formula = Callable[[Any, Any, Any, ModuleType], Any]
 
@@ -138,6 +138,9 @@ class FieldSource:
 
     def topology(self) -> tuple[int, int] | None:
         return None
+
+    def manifold(self) -> PolygonMesh:
+        raise TypeError("the topology of a field is not known")
 
     def describe(self) -> dict[str, Any]:
         return {"kind": self.kind, "name": self.name}

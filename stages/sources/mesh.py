@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import bad_edges, edges, topology
+from ..surface.topology import bad_edges, edges, split_pinched, topology
 from .mesh_file import load
 from .parity import RayParity
 
@@ -76,6 +76,10 @@ class MeshSource:
             return None
         facts = topology(self._welded)
         return facts.euler_number + facts.pinched_vertices, facts.components
+
+    def manifold(self) -> PolygonMesh:
+        """The triangles with a vertex of its own for every fan of a pinched one."""
+        return split_pinched(PolygonMesh.of_triangles(self.vertices, self.triangles))
 
     def describe(self) -> dict[str, Any]:
         return {

@@ -12,7 +12,7 @@ from ..surface.polygons import Floats, Ints
 
 SAMPLES = 60_000
 """Points on the surface whose triangles are tried, beside the centroid of every triangle."""
-CANDIDATES = 6
+CANDIDATES = 4
 """Nearest samples whose triangles are tried."""
 AGAINST = -0.2
 """A triangle whose normal has a smaller cosine with the one asked for is of another sheet."""

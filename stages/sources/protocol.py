@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.polygons import Floats
+from ..surface.polygons import Floats, PolygonMesh
 
 
 class Source(Protocol):
@@ -39,6 +39,10 @@ class Source(Protocol):
 
     def topology(self) -> tuple[int, int] | None:
         """Euler number, pinched vertices split, and number of components, where they are known."""
+        ...
+
+    def manifold(self) -> PolygonMesh:
+        """A closed surface of that topology, where it is known. Raises TypeError elsewhere."""
         ...
 
     def describe(self) -> dict[str, Any]:

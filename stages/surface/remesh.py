@@ -80,7 +80,7 @@ class EdgeTable:
 
 @dataclass
 class Sized:
-    """A triangle surface with a target length at every vertex; the operations replace its arrays."""
+    """Triangles with a target length at every vertex; the operations replace the arrays."""
 
     vertices: Floats
     triangles: Ints
@@ -101,8 +101,8 @@ def remesh(
     """A triangulation of the same closed surface with edges about ``length(points)`` long.
 
     ``cover``, points ``(N, 3)`` of the true surface and their normals, are reached where the mesh
-    leaves them out. Returns vertices ``(W, 3)``, triangles ``(T, 3)`` and the target length at each vertex. Raises
-    ValueError when the surface is not closed and manifold along its edges.
+    leaves them out. Returns vertices ``(W, 3)``, triangles ``(T, 3)`` and the target length at each
+    vertex. Raises ValueError when the surface is not closed and manifold along its edges.
     """
     mesh = Sized(vertices.copy(), triangles.copy(), length(vertices))
     for iteration in range(iterations):

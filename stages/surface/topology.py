@@ -57,8 +57,9 @@ def face_components(mesh: PolygonMesh) -> tuple[int, Ints]:
     return int(count), labels.astype(np.int64)
 
 
-def pinched_vertices(mesh: PolygonMesh) -> Ints:
-    """Vertices whose faces do not form one fan (more than one edge-connected group of corners)."""
+def corner_fans(mesh: PolygonMesh) -> tuple[int, Ints]:
+    """Number of fans, and the fan of each corner ``(sum,)``: corners at one vertex are of one fan
+    when a way around it leads from one to the other across edges."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -80,10 +81,24 @@ def pinched_vertices(mesh: PolygonMesh) -> Ints:
     same = np.flatnonzero(ordered[1:] == ordered[:-1])
     rows, columns = half_corner[order[same]], half_corner[order[same + 1]]
     graph = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(count, count))
-    _, group = connected_components(graph, directed=False)
+    fans, group = connected_components(graph, directed=False)
+    return int(fans), group.astype(np.int64)
+
+
+def pinched_vertices(mesh: PolygonMesh) -> Ints:
+    """Vertices whose faces do not form one fan."""
+    _, group = corner_fans(mesh)
     pairs = np.unique(np.stack([mesh.face_vertices, group], axis=1), axis=0)
     fans = np.bincount(pairs[:, 0], minlength=mesh.vertex_count)
     return np.flatnonzero(fans > 1)
+
+
+def split_pinched(mesh: PolygonMesh) -> PolygonMesh:
+    """The same faces with a vertex of its own for every fan; vertices no face uses are dropped."""
+    fans, group = corner_fans(mesh)
+    vertex = np.zeros(fans, dtype=np.int64)
+    vertex[group] = mesh.face_vertices
+    return PolygonMesh(mesh.vertices[vertex], mesh.face_offsets, group)
 
 
 @dataclass(frozen=True)
