@@ -46,7 +46,8 @@ def cli() -> Cli:
 def heart_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
     """The folder of a small but whole run on the heart, lamp included."""
     folder = tmp_path_factory.mktemp("heart")
-    done = cli("run", "heart", "-n", 10, "--lamp", *QUICK, "--threads", 2, cwd=folder)
+    words = ["-n", 10, "--lamp", "--faces", "triangle", *QUICK, "--threads", 2]
+    done = cli("run", "heart", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder / "heart.vorolight"
 
