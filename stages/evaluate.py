@@ -128,6 +128,8 @@ def run(context: Context) -> Outcome:
     context.progress.advance(3)
     if params.of != "init":
         metrics |= _trained(context, radius, field)
+        if metrics["certificate"]["holds"]:
+            metrics["gates"]["self_intersection"] = "excluded by the certificate"
         claimed = (context.folder.manifest("sphere-train") or {})["metrics"]["certificate"]["holds"]
         if claimed:
             metrics["gates"]["certificate"] = metrics["certificate"]["holds"]

@@ -16,8 +16,7 @@ from .errors import UsageError
 
 if TYPE_CHECKING:
     from .surface.model_frame import ModelFrame
-    from .surface.polygons import Floats, Ints, PolygonMesh
-    from .surface.topology import Topology
+    from .surface.polygons import Floats, PolygonMesh
 
 NEIGHBOURS_EVERY = 10
 """Iterations between searches for spheres that may intrude."""
@@ -125,7 +124,6 @@ def _triangles(context: Context) -> Outcome:
     """Triangle faces: remeshed, trained until they conform, and certified."""
     import numpy as np
 
-    from .metrics import watertight
     from .optimize.conforming import Leg, Spheres, conform
     from .sources.true_surface import true_surface
     from .surface.geometry import fan_triangles
@@ -134,10 +132,6 @@ def _triangles(context: Context) -> Outcome:
     from .surface.remesh import remesh
     from .surface.sizing import for_surface
     from .surface.topology import topology
-    from .voronoi.certificate import certify
-    from .voronoi.cleanup import clean
-    from .voronoi.conformity import conformity
-    from .voronoi.interface import interface
 
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
@@ -174,44 +168,15 @@ def _triangles(context: Context) -> Outcome:
     count = trained.face_count
     points, square, _ = spheres.pairs()
     outside, inside = points[:count], points[count:]
-    generators = np.concatenate([inside, outside])
-    labels = np.arange(2 * count) < count
-    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
-    certificate = certify(trained, spheres.radii, generators, labels, pairs, context.threads)
-    owner = np.arange(2 * count) % count
-    raw = interface(generators, labels)
-    agreement = conformity(
-        raw, owner, trained, spheres.radii, inside, outside, 1.0, context.threads
-    )
-    cleaned = clean(raw, spacing=1.0, merge=MERGE)
-    written, bounds = cleaned.mesh, owner[cleaned.generators]
-    if certificate.holds:
-        written, bounds = trained, np.stack([np.arange(count)] * 2, axis=1)
-    warnings = _topology_warnings(context, topology(written))
+    warnings = []
     if from_input:
         warnings.append(
             "the initial surface has not the input's topology: the input's triangles were remeshed"
         )
-    if not certificate.holds:
-        warnings.append(
-            f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
-            f"generators is written, {100 * agreement.pair_area_share:.3f} % of its area between "
-            "pairs; raise --iterations, or lower --edge-length"
-        )
     return _outcome(
-        frame, spheres.radii, np.sqrt(np.maximum(square, 0.0)), trained, (inside, outside),
+        context, frame, trained, spheres.radii, np.sqrt(np.maximum(square, 0.0)), inside, outside,
         np.mean(spheres.lengths[spheres.triangles], axis=1) / params.edge_length, history,
-        written, bounds,
-        {
-            "certificate": vars(certificate) | {"failed": list(certificate.failed)},
-            "repair_rounds": rounds,
-            "started_from": "input" if from_input else "init",
-            "topology": vars(topology(written)),
-            "trained_topology": vars(topology(trained)),
-            "conformity": vars(agreement),
-            "faces_after_merging": cleaned.mesh.face_count,
-        },
-        warnings, watertight.as_written,
+        {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}, warnings,
     )  # fmt: skip
 
 
@@ -221,7 +186,6 @@ def _polygons(context: Context) -> Outcome:
     import torch
 
     from .losses import regularization, shape, sphere
-    from .metrics import watertight
     from .optimize.loop import Schedule, adam
     from .surface.frames import Connectivity, face_frames
     from .surface.geometry import face_frames as numpy_frames
@@ -229,11 +193,6 @@ def _polygons(context: Context) -> Outcome:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .surface.spheres import initial_spheres, near_pairs
-    from .surface.topology import topology
-    from .voronoi.certificate import certify
-    from .voronoi.cleanup import clean
-    from .voronoi.conformity import conformity
-    from .voronoi.interface import interface
     from .voronoi.pairs import label_pairs
 
     params = context.params
@@ -298,105 +257,110 @@ def _polygons(context: Context) -> Outcome:
     collapsed = int((np.abs(trained_offsets) < SMALLEST_OFFSET).sum())
     reach = np.maximum(np.abs(trained_offsets), SMALLEST_OFFSET)[:, None] * normal
     pairs = label_pairs(trained, centroid + reach, centroid - reach)
-    generators = np.concatenate([pairs.inside, pairs.outside])
-    count = trained.face_count
-    raw = interface(generators, np.arange(2 * count) < count)
-    owner = np.arange(2 * count) % count
-    agreement = conformity(
-        raw, owner, trained, trained_radii, pairs.inside, pairs.outside, 1.0, context.threads
-    )
-    final = clean(raw, spacing=1.0)
-    ends = np.stack([np.arange(count), count + np.arange(count)], axis=1)
-    labels = np.arange(2 * count) < count
-    certificate = certify(trained, trained_radii, generators, labels, ends, context.threads)
-    warnings = _topology_warnings(context, topology(final.mesh))
+    warnings = []
     if pairs.undecided:
         warnings.append(
             f"{pairs.undecided} generator pairs lie on one side of the trained surface and were "
             "labelled by their face's orientation"
         )
-    if agreement.pair_faces < count:
-        warnings.append(
-            f"{count - agreement.pair_faces} of {count} trained faces have no face in the diagram"
-        )
-    warnings.append(
-        "the trained polygons are not exactly the interface of their generators: the interface is "
-        f"written, {100 * agreement.pair_area_share:.1f} % of its area between pairs"
-    )
+    facts = {
+        "relabelled": pairs.relabelled, "undecided": pairs.undecided, "collapsed": collapsed,
+    }  # fmt: skip
     return _outcome(
-        frame, trained_radii, trained_offsets, trained, (pairs.inside, pairs.outside),
-        np.ones(count), history, final.mesh, owner[final.generators],
-        {
-            "certificate": vars(certificate) | {"failed": list(certificate.failed)},
-            "topology": vars(topology(final.mesh)),
-            "trained_topology": vars(topology(trained)),
-            "conformity": vars(agreement),
-            "faces_after_merging": clean(raw, spacing=1.0, merge=MERGE).mesh.face_count,
-            "pairs": {
-                "relabelled": pairs.relabelled,
-                "undecided": pairs.undecided,
-                "collapsed": collapsed,
-            },
-            "cleanup": {
-                "dropped_flat": final.dropped_flat,
-                "merged_vertices": final.merged_vertices,
-                "dropped_faces": final.dropped_faces,
-                "kept_degenerate": final.kept_degenerate,
-            },
-        },
-        warnings, watertight.as_written,
+        context, frame, trained, trained_radii, trained_offsets, pairs.inside, pairs.outside,
+        np.ones(trained.face_count), history, {"pairs": facts}, warnings,
     )  # fmt: skip
 
 
-def _topology_warnings(context: Context, found: Topology) -> list[str]:
-    """What to say when the written surface is not of the input's topology, or that is unknown."""
-    expected = context.source().topology()
-    if expected is None or expected == (found.euler_number, found.components):
-        return []
-    return [
-        f"the surface has Euler number {found.euler_number} and {found.components} components, "
-        f"the input {expected[0]} and {expected[1]}: raise -n"
-    ]
-
-
 def _outcome(
+    context: Context,
     frame: ModelFrame,
+    trained: PolygonMesh,
     radii: Floats,
     offsets: Floats,
-    trained: PolygonMesh,
-    pairs: tuple[Floats, Floats],
+    inside: Floats,
+    outside: Floats,
     spacing: Floats,
     history: Floats,
-    written: PolygonMesh,
-    face_generators: Ints,
     metrics: dict[str, Any],
     warnings: list[str],
-    recheck: Any,
 ) -> Outcome:
-    """The stage's files, in the input's coordinates."""
-    from .export import ply
+    """The certificate, the surface it allows to write, and the files in the input's coordinates."""
+    import numpy as np
 
+    from .export import ply
+    from .metrics import watertight
+    from .surface.topology import topology
+    from .voronoi.certificate import certify
+    from .voronoi.cleanup import clean
+    from .voronoi.conformity import conformity
+    from .voronoi.interface import interface
+
+    count = trained.face_count
+    generators = np.concatenate([inside, outside])
+    labels, owner = np.arange(2 * count) < count, np.arange(2 * count) % count
+    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
+    certificate = certify(trained, radii, generators, labels, pairs, context.threads)
+    raw = interface(generators, labels)
+    agreement = conformity(raw, owner, trained, radii, inside, outside, 1.0, context.threads)
+    merged = clean(raw, spacing=1.0, merge=MERGE)
+    if certificate.holds:
+        cleaned, written, bounds = merged, trained, np.stack([np.arange(count)] * 2, axis=1)
+    else:
+        cleaned = clean(raw, spacing=1.0)
+        written, bounds = cleaned.mesh, owner[cleaned.generators]
+        if agreement.pair_faces < count:
+            warnings.append(
+                f"{count - agreement.pair_faces} of {count} trained faces have no face in the "
+                "diagram"
+            )
+        remedy = "; raise --iterations" if context.params.conforming else ""
+        warnings.append(
+            f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
+            f"generators is written, {100 * agreement.pair_area_share:.2f} % of its area between "
+            f"pairs{remedy}"
+        )
+    facts, expected = topology(written), context.source().topology()
+    if expected is not None and expected != (facts.euler_number, facts.components):
+        warnings.append(
+            f"the surface has Euler number {facts.euler_number} and {facts.components} components, "
+            f"the input {expected[0]} and {expected[1]}: raise -n"
+        )
     surface = written.with_vertices(frame.input_from_model(written.vertices))
-    trained = trained.with_vertices(frame.input_from_model(trained.vertices))
+    placed = trained.with_vertices(frame.input_from_model(trained.vertices))
     names = ("intersection", "exclusion", "shape", "normal")
-    last = dict(zip(names, history[-1], strict=True)) if len(history) else {}
     return Outcome(
         arrays={
-            "spheres/center": trained.vertices,
+            "spheres/center": placed.vertices,
             "spheres/radius": frame.spacing * radii,
-            **trained.as_arrays("trained/"),
+            **placed.as_arrays("trained/"),
             "trained/offset": frame.spacing * offsets,
-            "generators/inside": frame.input_from_model(pairs[0]),
-            "generators/outside": frame.input_from_model(pairs[1]),
+            "generators/inside": frame.input_from_model(inside),
+            "generators/outside": frame.input_from_model(outside),
             "spacing": frame.spacing * spacing,
             "history": history,
             **surface.as_arrays("surface/"),
-            "surface/face_generators": face_generators,
+            "surface/face_generators": bounds,
         },
         files={"ply": ply.encode(surface)},
-        metrics={"trained_faces": trained.face_count, **metrics, "final_losses": last},
+        metrics={
+            "trained_faces": count,
+            "certificate": vars(certificate) | {"failed": list(certificate.failed)},
+            "topology": vars(facts),
+            "trained_topology": vars(topology(trained)),
+            "conformity": vars(agreement),
+            "faces_after_merging": merged.mesh.face_count,
+            "cleanup": {
+                "dropped_flat": cleaned.dropped_flat,
+                "merged_vertices": cleaned.merged_vertices,
+                "dropped_faces": cleaned.dropped_faces,
+                "kept_degenerate": cleaned.kept_degenerate,
+            },
+            "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
+            **metrics,
+        },
         warnings=warnings,
-        recheck=recheck,
+        recheck=watertight.as_written,
     )
 
 

@@ -17,7 +17,8 @@ settings.register_profile("tests", deadline=None, max_examples=15, derandomize=T
 settings.load_profile("tests")
 
 QUICK = ["--init-iterations", "15", "--sphere-train-iterations", "60", "--inner", "20",
-         "--cvt-iterations", "5", "--samples", "5000", "--sides", "6"]  # fmt: skip
+         "--cvt-iterations", "5", "--samples", "5000", "--sides", "6",
+         "--faces", "triangle"]  # fmt: skip
 Cli = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -46,7 +47,7 @@ def cli() -> Cli:
 def heart_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
     """The folder of a small but whole run on the heart, lamp included."""
     folder = tmp_path_factory.mktemp("heart")
-    words = ["-n", 10, "--lamp", "--faces", "triangle", *QUICK, "--threads", 2]
+    words = ["-n", 10, "--lamp", *QUICK, "--threads", 2]
     done = cli("run", "heart", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder / "heart.vorolight"

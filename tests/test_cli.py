@@ -55,7 +55,7 @@ def test_a_whole_run(heart_run: Path, manifest: Callable[[str], dict[str, Any]])
         assert manifest(stage)["metrics"]["as_written"]["closed"]
     metrics = manifest("evaluate-sphere-train")["metrics"]
     assert metrics["gates"]["closed"] is True
-    assert metrics["gates"]["self_intersection"] == "not run"
+    assert metrics["gates"]["certificate"] is True
     chamfer, diagonal = metrics["chamfer"], metrics["protocol"]["diagonal"]
     # A few iterations at n = 10 bring the surface to well within a voxel.
     spacing = manifest("classify")["metrics"]["spacing"]
@@ -73,7 +73,8 @@ def test_training_makes_the_surface_smoother_and_truer(heart_run: Path) -> None:
     assert history.shape == (60, 4)
     assert history[-1, 0] < 0.2 * history[0, 0]
     first = decode(heart_run / "init.h5", "init")[0]["history"]
-    assert first[-1, 0] < 0.5 * first[0, 0]
+    # Mirrored in the surface, the generators start and stay near it: a fifth of a voxel, squared.
+    assert first[:, 0].max() < 0.04
 
 
 def test_nothing_runs_twice(heart_run: Path, cli: Cli) -> None:

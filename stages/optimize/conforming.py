@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
 from ..losses import conforming, shape
+from ..surface.edge_table import EdgeTable, Sized
 from ..surface.geometry import vertex_normals
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.remesh import EdgeTable, Sized, delaunay_gain, flip, unfold
+from ..surface.remesh import delaunay_gain, flip, unfold
 from ..surface.spheres import near_pairs
 from .loop import Moments
 

@@ -57,7 +57,7 @@ class MeshSource:
         """The winding number is not zero; on an open mesh, where there is none, the majority of
         three rays' parities."""
         if self.open_edges == 0:
-            return self._rays[0].winding(points) != 0
+            return np.asarray(self._rays[0].winding(points) != 0)
         votes = np.sum([rays.inside(points) for rays in self._rays], axis=0)
         return np.asarray(votes * 2 > len(self._rays))
 

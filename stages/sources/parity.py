@@ -68,7 +68,7 @@ class RayParity:
     def inside(self, points: Floats) -> NDArray[np.bool_]:
         """Whether the ray from each of ``points (N, 3)`` meets the surface an odd number of
         times, ``(N,) bool``."""
-        return self._crossings(points)[0] % 2 == 1
+        return np.asarray(self._crossings(points)[0] % 2 == 1)
 
     def winding(self, points: Floats) -> Ints:
         """The winding number ``(N,)`` of a closed oriented surface about ``points (N, 3)``: 1

@@ -44,7 +44,7 @@ class ClosestPoint:
     @property
     def sample_normals(self) -> Floats:
         """Unit normals at the samples, ``(S, 3)``."""
-        return self.normals[self.owner]
+        return np.asarray(self.normals[self.owner])
 
     def keep(self, wanted: NDArray[np.bool_], turned: NDArray[np.bool_]) -> None:
         """Leave out the samples that are not ``wanted (S,)``; turn the normals of the triangles
@@ -108,4 +108,4 @@ def closest_on_triangles(points: Floats, corners: Floats) -> Floats:
         nearer = distance < best
         best[nearer], result[nearer] = distance[nearer], at[nearer]
     result[within] = flat[within]
-    return result
+    return np.asarray(result)

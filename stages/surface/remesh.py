@@ -7,11 +7,11 @@ no loop over edges; the surface stays closed and keeps its topology.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .edge_table import EdgeTable, Sized
 from .geometry import vertex_normals
 from .polygons import Floats, Ints
 
@@ -35,59 +35,6 @@ Project = Callable[[Floats, Floats], Floats]
 
 Length = Callable[[Floats], Floats]
 """``length(points (N, 3))``: the target edge length at each."""
-
-
-@dataclass(frozen=True)
-class EdgeTable:
-    """The edges of a closed triangle surface.
-
-    ``ends (E, 2)``: the first triangle has the edge from ends[0] to ends[1], the second the other
-    way round. ``triangles (E, 2)`` and their third corners ``opposite (E, 2)``.
-    """
-
-    ends: Ints
-    triangles: Ints
-    opposite: Ints
-
-    @classmethod
-    def of(cls, triangles: Ints) -> EdgeTable:
-        """The table. Raises ValueError unless every edge is in two triangles, once each way."""
-        count = len(triangles)
-        start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
-        third = triangles[:, [2, 0, 1]].reshape(-1)
-        span = int(triangles.max()) + 1 if count else 1
-        key = np.minimum(start, end) * span + np.maximum(start, end)
-        # Within an edge the half-edge that goes up comes first.
-        order = np.argsort(2 * key + (start > end), kind="stable").reshape(-1)
-        if len(order) % 2:
-            raise ValueError("the surface is not closed")
-        first, second = order[0::2], order[1::2]
-        paired = (key[first] == key[second]) & (start[first] < end[first])
-        paired &= start[second] > end[second]
-        if not paired.all() or (key[first][1:] == key[first][:-1]).any():
-            raise ValueError("the surface is not closed")
-        return cls(
-            np.stack([start[first], end[first]], 1),
-            np.stack([first // 3, second // 3], 1),
-            np.stack([third[first], third[second]], 1),
-        )
-
-    def lengths(self, vertices: Floats) -> Floats:
-        return np.asarray(
-            np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
-        )
-
-
-@dataclass
-class Sized:
-    """Triangles with a target length at every vertex; the operations replace the arrays."""
-
-    vertices: Floats
-    triangles: Ints
-    length: Floats
-
-    def edge_target(self, ends: Ints) -> Floats:
-        return np.asarray(self.length[ends].mean(axis=1))
 
 
 def remesh(
@@ -313,7 +260,7 @@ def _best_in_triangles(
     rank = _ranks(-value[candidate])
     best = np.full(count, len(candidate))
     np.minimum.at(best, table.triangles[candidate].reshape(-1), np.repeat(rank, 2))
-    return candidate[(best[table.triangles[candidate]] == rank[:, None]).all(axis=1)]
+    return np.asarray(candidate[(best[table.triangles[candidate]] == rank[:, None]).all(axis=1)])
 
 
 def _common_neighbours(ends: Ints, candidate: Ints, count: int) -> Ints:
@@ -389,7 +336,7 @@ def _valence_gain(mesh: Sized, table: EdgeTable) -> Floats:
     ends, opposite = valence[table.ends] - 6, valence[table.opposite] - 6
     before = (ends**2).sum(axis=1) + (opposite**2).sum(axis=1)
     after = ((ends - 1) ** 2).sum(axis=1) + ((opposite + 1) ** 2).sum(axis=1)
-    return (before - after).astype(np.float64)
+    return np.asarray(before - after, dtype=np.float64)
 
 
 def delaunay_gain(mesh: Sized, table: EdgeTable) -> Floats:

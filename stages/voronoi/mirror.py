@@ -41,7 +41,8 @@ def mirrored(
 
     near = binary_dilation(interior, iterations=BAND)
     near &= binary_dilation(~interior, iterations=BAND)
-    places, edge = np.argwhere(near) + 0.5, np.ones(int(near.sum()))
+    places: Floats = np.argwhere(near).astype(np.float64) + 0.5
+    edge = np.ones(len(places))
     if levels:
         smallest = 0.5**levels
         thin = thickness(surface.samples, surface.normals, 1.0 / THINNEST)

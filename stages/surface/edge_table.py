@@ -1,0 +1,62 @@
+"""The edges of a closed triangle surface with the two triangles of each, as flat arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .polygons import Floats, Ints
+
+
+@dataclass(frozen=True)
+class EdgeTable:
+    """The edges of a closed triangle surface.
+
+    ``ends (E, 2)``: the first triangle has the edge from ends[0] to ends[1], the second the other
+    way round. ``triangles (E, 2)`` and their third corners ``opposite (E, 2)``.
+    """
+
+    ends: Ints
+    triangles: Ints
+    opposite: Ints
+
+    @classmethod
+    def of(cls, triangles: Ints) -> EdgeTable:
+        """The table. Raises ValueError unless every edge is in two triangles, once each way."""
+        count = len(triangles)
+        start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
+        third = triangles[:, [2, 0, 1]].reshape(-1)
+        span = int(triangles.max()) + 1 if count else 1
+        key = np.minimum(start, end) * span + np.maximum(start, end)
+        # Within an edge the half-edge that goes up comes first.
+        order = np.argsort(2 * key + (start > end), kind="stable").reshape(-1)
+        if len(order) % 2:
+            raise ValueError("the surface is not closed")
+        first, second = order[0::2], order[1::2]
+        paired = (key[first] == key[second]) & (start[first] < end[first])
+        paired &= start[second] > end[second]
+        if not paired.all() or (key[first][1:] == key[first][:-1]).any():
+            raise ValueError("the surface is not closed")
+        return cls(
+            np.stack([start[first], end[first]], 1),
+            np.stack([first // 3, second // 3], 1),
+            np.stack([third[first], third[second]], 1),
+        )
+
+    def lengths(self, vertices: Floats) -> Floats:
+        return np.asarray(
+            np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
+        )
+
+
+@dataclass
+class Sized:
+    """Triangles with a target length at every vertex; the operations replace the arrays."""
+
+    vertices: Floats
+    triangles: Ints
+    length: Floats
+
+    def edge_target(self, ends: Ints) -> Floats:
+        return np.asarray(self.length[ends].mean(axis=1))
