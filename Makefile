@@ -65,8 +65,9 @@ bench: $(VENV)/installed
 
 # Certificate, distances and smoothness of shapes, beside another method's.
 MESHES ?= $(wildcard *.ply)
+TABLE_FACES ?= triangle
 table: $(VENV)/installed
-	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(FACES) \
+	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
 		$(if $(PEER),--peer $(PEER)) $(if $(wildcard $(MESHES)/*.ply),$(wildcard $(MESHES)/*.ply),$(MESHES))
 
 # Lint, and type-check the package as the wheel installs it.

@@ -21,7 +21,7 @@ GRADATION = 0.35
 NEIGHBOURS = 8
 
 
-def thickness(points: Floats, normals: Floats, limit: float, threads: int = 1) -> Floats:
+def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
     """Distance ``(N,)`` from each surface sample to the opposite sheet, inside or outside.
 
     ``points, normals (N, 3)`` sample a surface. Sheets further than ``limit`` are not seen: the
