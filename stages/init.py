@@ -128,7 +128,9 @@ def run(context: Context) -> Outcome:
             warnings.append("the iterations spoiled the surface's topology and were undone")
     mesh = surface.mesh.with_vertices(frame.input_from_model(surface.mesh.vertices))
     if islands:
-        warnings.append(f"{islands} specks smaller than a voxel were removed from the surface")
+        warnings.append(
+            f"{islands} specks smaller than {SPECK:g} voxels were removed from the surface"
+        )
     if expected is not None and not as_expected(facts):
         warnings.append(
             f"the surface has Euler number {facts.euler_number} and {facts.components} components, "

@@ -173,6 +173,8 @@ def _triangles(context: Context) -> Outcome:
         warnings.append(
             "the initial surface has not the input's topology: the input's triangles were remeshed"
         )
+    if context.device != "cpu":
+        warnings.append(f"--device {context.device}: triangles are trained on the CPU")
     return _outcome(
         context, frame, trained, spheres.radii, np.sqrt(np.maximum(square, 0.0)), inside, outside,
         np.mean(spheres.lengths[spheres.triangles], axis=1) / params.edge_length, history,

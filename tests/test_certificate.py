@@ -142,7 +142,7 @@ def test_a_nested_sphere_of_the_same_orientation(sphere: Case) -> None:
     assert both.certificate().failed == ("winding",)
 
 
-def cube(level: int = 0) -> tuple[Case, np.ndarray]:
+def cube() -> tuple[Case, np.ndarray]:
     """A regular polygon surface that conforms: a cube, and its corner spheres all through its
     centre's mirror images."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)

@@ -221,6 +221,8 @@ def test_a_pinched_vertex_is_split() -> None:
         np.concatenate([vertices, other]), np.concatenate([triangles, faces])
     )
     assert topology(mesh).pinched_vertices == 1
+    with pytest.raises(ValueError, match="not one fan"):
+        dual(mesh)
     split = topology(split_pinched(mesh))
     assert (split.pinched_vertices, split.euler_number, split.components) == (0, 4, 2)
 

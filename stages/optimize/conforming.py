@@ -121,7 +121,6 @@ def conform(
         spheres = Spheres(*(state[name] for name in ("centres", "radii", "triangles", "lengths")))
         hold, history = state["hold"], state["history"]
         round_number, begin = int(state["round"]), int(state["begin"])
-    progress.start("sphere-train", first.iterations)
     strict = replace(
         first,
         iterations=ROUND,
@@ -144,6 +143,8 @@ def conform(
         store = {"hold": hold, "free": free, "round": np.array(round_number)}
         before = first.iterations + ROUND * (round_number - 1) if round_number else 0
         leg = strict if round_number else first
+        label = f"repair {round_number}" if round_number else "sphere-train"
+        progress.start(label, leg.iterations)
         training = _Training(spheres, surface, leg, hold, free, before, threads)
         spheres, history = training.run(checkpoints, progress, store, history, begin, state)
         round_number, state, begin = round_number + 1, None, 0
@@ -233,8 +234,7 @@ class _Training:
                 gradients = [gradients[0] * self.free[:, None], gradients[1] * self.free]
             decay = 0.5 * (1 + math.cos(math.pi * iteration / self.leg.iterations))
             self.moments.step(gradients, iteration, self.leg.rate * decay)
-            if not store["round"]:
-                progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
+            progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
         centres, radii = (value.detach().numpy() for value in self._values())
         return replace(
             self.spheres, centres=centres, radii=radii, triangles=self.triangles

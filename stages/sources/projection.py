@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,6 @@ class ClosestPoint:
         self.owner = np.concatenate([owner, np.arange(len(self.corners))])
         self.samples = np.concatenate([samples, self.corners.mean(axis=1)])
         self.reach, self.threads = reach, threads
-        self._build()
 
     @property
     def sample_normals(self) -> Floats:
@@ -53,15 +53,22 @@ class ClosestPoint:
         flip[self.owner[turned]] = True
         self.normals = np.where(flip[:, None], -self.normals, self.normals)
         self.samples, self.owner = self.samples[wanted], self.owner[wanted]
-        self._build()
+        for tree in ("tree", "facing"):
+            self.__dict__.pop(tree, None)
 
-    def _build(self) -> None:
+    @cached_property
+    def tree(self) -> Any:
+        """Over the samples."""
         from scipy.spatial import cKDTree
 
-        self.tree: Any = cKDTree(self.samples)
-        self.facing: Any = cKDTree(
-            np.concatenate([self.samples, self.reach * self.sample_normals], axis=1)
-        )
+        return cKDTree(self.samples)
+
+    @cached_property
+    def facing(self) -> Any:
+        """Over the samples and their normals."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(np.concatenate([self.samples, self.reach * self.sample_normals], axis=1))
 
     def __call__(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
         """Closest points ``(N, 3)`` and the unit normals of their triangles.

@@ -28,13 +28,9 @@ def dual(mesh: PolygonMesh) -> PolygonMesh:
     # Half-edge (v -> w) of f: its twin (w -> v) lies in the next face clockwise around v, whose
     # own half-edge from v follows the twin in its ring.
     twin = order[arriving]
-    position = np.arange(len(start))
-    following = position + 1
-    full = mesh.valences > 0
-    following[mesh.face_offsets[1:][full] - 1] = mesh.face_offsets[:-1][full]
-    clockwise = following[twin]
+    clockwise = mesh.next_corners[twin]
     corner = np.full(count, -1, dtype=np.int64)
-    corner[start[::-1]] = position[::-1]
+    corner[start] = np.arange(len(start))
     used = np.flatnonzero(corner >= 0)
     valence = np.bincount(start, minlength=count)[used]
     offsets = np.concatenate([[0], np.cumsum(valence)]).astype(np.int64)
@@ -44,6 +40,7 @@ def dual(mesh: PolygonMesh) -> PolygonMesh:
         more = valence > step
         rings[offsets[1:][more] - 1 - step] = face[here[more]]
         here = clockwise[here]
-    if (here[valence == valence.max(initial=0)] != corner[used][valence == valence.max()]).any():
-        raise ValueError("the faces at a vertex are not one fan")
+        # A fan comes round after as many steps as the vertex has faces, and not before.
+        if ((here == corner[used]) != (valence == step + 1))[more].any():
+            raise ValueError("the faces at a vertex are not one fan")
     return PolygonMesh(centroid, offsets, rings)

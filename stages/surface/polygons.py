@@ -64,12 +64,17 @@ class PolygonMesh:
         return np.repeat(np.arange(self.face_count, dtype=np.int64), self.valences)
 
     @cached_property
-    def next_vertices(self) -> Ints:
-        """The vertex that follows each corner in its ring, ``(sum,)``."""
+    def next_corners(self) -> Ints:
+        """The corner that follows each corner in its ring, ``(sum,)``."""
         following = np.arange(1, len(self.face_vertices) + 1, dtype=np.int64)
         nonempty = self.valences > 0
         following[self.face_offsets[1:][nonempty] - 1] = self.face_offsets[:-1][nonempty]
-        return self.face_vertices[following]
+        return following
+
+    @cached_property
+    def next_vertices(self) -> Ints:
+        """The vertex that follows each corner in its ring, ``(sum,)``."""
+        return self.face_vertices[self.next_corners]
 
     def with_vertices(self, vertices: Floats) -> PolygonMesh:
         """The same faces over other positions ``(V, 3)``."""

@@ -55,12 +55,11 @@ def for_surface(points: Floats, normals: Floats, length: float) -> LengthField:
 class LengthField:
     """A target length at samples of a surface, extended to its neighbourhood."""
 
-    def __init__(self, points: Floats, lengths: Floats, threads: int = 1) -> None:
+    def __init__(self, points: Floats, lengths: Floats) -> None:
         from scipy.spatial import cKDTree
 
         self.tree: Any = cKDTree(points)
-        self.threads = threads
-        distance, near = self.tree.query(points, NEIGHBOURS, workers=threads)
+        distance, near = self.tree.query(points, NEIGHBOURS)
         self.edges: tuple[Ints, Ints, Floats] = (
             np.repeat(np.arange(len(points)), NEIGHBOURS),
             near.reshape(-1),
@@ -80,4 +79,4 @@ class LengthField:
                 return lengths
 
     def __call__(self, points: Floats) -> Floats:
-        return np.asarray(self.lengths[self.tree.query(points, workers=self.threads)[1]])
+        return np.asarray(self.lengths[self.tree.query(points)[1]])

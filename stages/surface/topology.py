@@ -67,15 +67,12 @@ def corner_fans(mesh: PolygonMesh) -> tuple[int, Ints]:
     # edge. The number of joined groups at a vertex is its number of fans.
     count = len(mesh.face_vertices)
     corner = np.arange(count)
-    following = corner + 1
-    nonempty = mesh.valences > 0
-    following[mesh.face_offsets[1:][nonempty] - 1] = mesh.face_offsets[:-1][nonempty]
     keys, _ = edge_keys(mesh)
     half_key = np.concatenate([keys, keys]) * 2
     at_start = mesh.face_vertices < mesh.next_vertices
     half_key[:count] += ~at_start
     half_key[count:] += at_start
-    half_corner = np.concatenate([corner, following])
+    half_corner = np.concatenate([corner, mesh.next_corners])
     order = np.argsort(half_key, kind="stable")
     ordered = half_key[order]
     same = np.flatnonzero(ordered[1:] == ordered[:-1])

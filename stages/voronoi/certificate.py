@@ -140,12 +140,8 @@ def _other_powers(
 def _sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
     """Faces that are planar and turn to the left at every corner, once around."""
     face, here, after = mesh.corner_faces, mesh.face_vertices, mesh.next_vertices
-    position = np.arange(len(here))
-    following = position + 1
-    full = mesh.valences > 0
-    following[mesh.face_offsets[1:][full] - 1] = mesh.face_offsets[:-1][full]
     into = mesh.vertices[after] - mesh.vertices[here]
-    out = into[following]
+    out = into[mesh.next_corners]
     axis = normal[face]
     sine = np.einsum("ij,ij->i", np.cross(into, out), axis)
     turn = np.arctan2(sine, np.einsum("ij,ij->i", into, out))
