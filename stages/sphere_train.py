@@ -66,7 +66,8 @@ class Params(contract.Params):
     faces: Literal["triangle", "polygon"] = "triangle"
     """Triangles, whose surface conforms exactly, or the polygons of the paper."""
     preset: Literal["default", "paper"] = "default"
-    """paper: its losses and weights; triangles are then polygons split at their centroids."""
+    """paper: its losses, weights of 10, 10, 1 and 0.1; triangles are then polygons split at their
+    centroids."""
     edge_length: Annotated[float, Range(0.05, 10)] = 0.6
     """Edge length of the triangles, in units of h0; shorter where the shape is thin."""
     iterations: Annotated[int, Range(0, 1_000_000)] | None = None
