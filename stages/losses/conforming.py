@@ -1,89 +1,87 @@
-"""Losses of triangle faces, whose generator pairs are where three spheres meet.
+"""Generator pairs of triangle faces in closed form, and their derivatives.
 
-With ``(c_v, r_v)`` free and the pair of a face in closed form, every sphere passes through the
-generators of its faces by construction; what is left of conformity are inequalities: each pair
-exists, and no other generator is inside a sphere. Lengths are divided by the local target length.
+With ``(c_v, r_v)`` free and the pair of a face where its three spheres meet, every sphere passes
+through the generators of its faces by construction; what is left of conformity are inequalities:
+each pair exists, and no other generator is inside a sphere.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
+import numpy as np
 
-from .sphere import power
-
-OFFSET = 0.5
-"""``delta_f`` below which a pair is penalised."""
-MARGIN = 0.01
-"""Power below which a generator that is not a sphere's own is penalised."""
-SLOPE = 0.02
-"""Of the linear part of that penalty, which does not fade as the last of it is worked off."""
-SMALLEST_SQUARE = 1e-4
-"""``delta_f^2`` that stands for a missing pair while there is none."""
+from ..surface.polygons import Floats, Ints
 
 
 @dataclass(frozen=True)
 class Pairs:
     """Of every triangle: radical centre ``q (F, 3)``, ``delta_f^2 (F,)`` and normal ``(F, 3)``."""
 
-    centre: torch.Tensor
-    square: torch.Tensor
-    normal: torch.Tensor
+    centre: Floats
+    square: Floats
+    normal: Floats
 
-    def points(self, floor: torch.Tensor) -> torch.Tensor:
+    def points(self, floor: Floats) -> Floats:
         """Outer, then inner generators ``(2F, 3)``; squares below ``floor (F,)`` are raised."""
-        shift = torch.sqrt(torch.maximum(self.square, floor))[:, None] * self.normal
-        return torch.cat([self.centre + shift, self.centre - shift])
+        shift = np.sqrt(np.maximum(self.square, floor))[:, None] * self.normal
+        return np.concatenate([self.centre + shift, self.centre - shift])
 
 
-def radical_pairs(centres: torch.Tensor, radii: torch.Tensor, triangles: torch.Tensor) -> Pairs:
+def radical_pairs(centres: Floats, radii: Floats, triangles: Ints) -> Pairs:
     """Where the spheres at the corners of ``triangles (F, 3)`` meet: ``q +- delta n``.
 
     q is the point of the triangle's plane of equal power to the three spheres, and that power is
     ``-delta^2``.
     """
-    a, b, c = (centres.index_select(0, triangles[:, k]) for k in range(3))
-    wa, wb, wc = (radii.index_select(0, triangles[:, k]) ** 2 for k in range(3))
+    a, b, c = (centres[triangles[:, k]] for k in range(3))
+    wa, wb, wc = (radii[triangles[:, k]] ** 2 for k in range(3))
     u, v = b - a, c - a
-    uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
-    cross = torch.linalg.cross(u, v)
-    determinant = (cross * cross).sum(1) + 1e-20 * uu * vv + torch.finfo(u.dtype).tiny
+    uu, uv, vv = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, v), (v, v)))
+    cross = np.cross(u, v)
+    determinant = np.einsum("ij,ij->i", cross, cross) + 1e-20 * uu * vv + np.finfo(float).tiny
     s, t = 0.5 * (uu + wa - wb), 0.5 * (vv + wa - wc)
-    offset = ((vv * s - uv * t)[:, None] * u + (uu * t - uv * s)[:, None] * v) / determinant[
-        :, None
-    ]
-    return Pairs(
-        a + offset, wa - (offset * offset).sum(1), cross / torch.sqrt(determinant)[:, None]
+    offset = (vv * s - uv * t)[:, None] * u + (uu * t - uv * s)[:, None] * v
+    offset /= determinant[:, None]
+    square = wa - np.einsum("ij,ij->i", offset, offset)
+    return Pairs(a + offset, square, cross / np.sqrt(determinant)[:, None])
+
+
+def power_gradient(
+    points: Floats, own: Ints, spheres: Ints, centres: Floats, radii: Floats
+) -> tuple[Ints, Floats]:
+    """Derivatives of the powers ``|p - c_v|^2 - r_v^2`` of generators to other spheres.
+
+    Row i: generator ``points[i]`` of a face with corners ``own[i] (3,)`` and sphere ``spheres[i]``.
+    Returns ``(R, 16)`` indices into ``(c_v, r_v)`` laid out as ``(V, 4)`` and the derivatives: a
+    generator stays on its three spheres, ``(p - c_k) (dp - dc_k) = r_k dr_k``.
+    """
+    arm = points[:, None] - centres[own]
+    away = points - centres[spheres]
+    multiplier = 2 * np.einsum("ij,ijk->ik", away, np.linalg.inv(arm))
+    moved = np.concatenate(
+        [multiplier[:, :, None] * arm, (multiplier * radii[own])[:, :, None]], axis=2
     )
+    still = -2 * np.concatenate([away, radii[spheres, None]], axis=1)
+    columns = 4 * np.concatenate([own, spheres[:, None]], axis=1)[:, :, None] + np.arange(4)
+    return columns.reshape(-1, 16), np.concatenate([moved.reshape(-1, 12), still], axis=1)
 
 
-def existence(pairs: Pairs, length: torch.Tensor) -> torch.Tensor:
-    """Mean of ``max(0, OFFSET^2 - delta^2 / l^2)^2``."""
-    return ((OFFSET**2 - pairs.square / length**2).clamp(min=0) ** 2).mean()
+def square_gradient(
+    centre: Floats, corners: Ints, centres: Floats, radii: Floats
+) -> tuple[Ints, Floats]:
+    """Derivatives of ``delta^2`` of faces with radical centres ``centre (R, 3)`` and ``corners
+    (R, 3)``: indices into ``(V, 4)`` and values, ``(R, 12)``.
 
-
-def exclusion(
-    points: torch.Tensor,
-    centres: torch.Tensor,
-    radii: torch.Tensor,
-    length: torch.Tensor,
-    pair_points: torch.Tensor,
-    pair_spheres: torch.Tensor,
-) -> torch.Tensor:
-    """Sum over pairs of ``h^2 + SLOPE h`` with ``h = max(0, MARGIN - power / l^2)``, a sphere."""
-    reach = power(
-        points.index_select(0, pair_points),
-        centres.index_select(0, pair_spheres),
-        radii.index_select(0, pair_spheres),
-    )
-    hinge = (MARGIN - reach / length.index_select(0, pair_spheres) ** 2).clamp(min=0)
-    return ((hinge**2).sum() + SLOPE * hinge.sum()) / len(centres)
-
-
-def umbrella(values: torch.Tensor, ends: torch.Tensor, degree: torch.Tensor) -> torch.Tensor:
-    """Values ``(V, k)`` less the mean over the ends of their edges ``(E, 2)``."""
-    total = torch.zeros_like(values)
-    total = total.index_add(0, ends[:, 0], values.index_select(0, ends[:, 1]))
-    total = total.index_add(0, ends[:, 1], values.index_select(0, ends[:, 0]))
-    return values - total / degree[:, None]
+    ``-delta^2`` is the power of q to each of the spheres, hence to their mean by q's barycentric
+    coordinates, which does not change to first order with q.
+    """
+    at = centres[corners]
+    u, v, w = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0], centre - at[:, 0]
+    uu, uv, vv = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, v), (v, v)))
+    wu, wv = np.einsum("ij,ij->i", w, u), np.einsum("ij,ij->i", w, v)
+    determinant = np.maximum(uu * vv - uv * uv, np.finfo(float).tiny)
+    s, t = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
+    weight = np.stack([1 - s - t, s, t], axis=1)[:, :, None]
+    value = 2 * weight * np.concatenate([centre[:, None] - at, radii[corners][:, :, None]], axis=2)
+    return (4 * corners[:, :, None] + np.arange(4)).reshape(-1, 12), value.reshape(-1, 12)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..sources.projection import ClosestPoint
 from ..sources.true_surface import TrueSurface
-from ..surface.geometry import sample_triangles
+from ..surface.geometry import sample_triangles, triangle_normals
 from ..surface.polygons import Floats, Ints
 
 
@@ -55,10 +55,7 @@ def fidelity(
     """
     own = ClosestPoint(vertices, triangles, 0.0, threads)
     points, owner = sample_triangles(vertices, triangles, count, random)
-    corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = (normal / np.maximum(size, np.finfo(float).tiny))[owner]
+    normal = triangle_normals(vertices, triangles)[0][owner]
     foot, outward = surface.closest(points)
     there = ((points - foot) ** 2).sum(axis=1)
     place, facing = own(reference[0])

@@ -8,34 +8,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.geometry import sample_triangles
+from ..surface.geometry import sample_triangles, triangle_normals
 from ..surface.polygons import Floats, Ints
 
 SAMPLES = 60_000
-"""Points on the surface whose triangles are tried, beside the centroid of every triangle."""
+"""Points that stand for the surface, beside the centroid of every triangle."""
 CANDIDATES = 4
-"""Nearest samples whose triangles are tried."""
+"""Samples that face a point's way whose triangles are tried where the closest one does not."""
 AGAINST = -0.2
 """A triangle whose normal has a smaller cosine with the one asked for is of another sheet."""
 
 
 class ClosestPoint:
-    """Closest points on the triangles of the nearest of many samples of a surface.
+    """Exact closest points, found with libigl's tree of bounding boxes.
 
     ``samples (S, 3)`` lie on triangles ``owner (S,)`` with ``corners (T, 3, 3)`` and unit
-    ``normals (T, 3)``. ``reach`` is the distance that a turn of a normal by one radian counts for.
+    ``normals (T, 3)``. ``reach`` is the distance that a turn of a normal by one radian counts for
+    where only one of several sheets is wanted.
     """
 
     def __init__(self, vertices: Floats, triangles: Ints, reach: float, threads: int = 1) -> None:
-        corners = vertices[triangles]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        size = np.linalg.norm(cross, axis=1)
-        solid = size > 0
-        self.corners = corners[solid]
-        self.normals = cross[solid] / size[solid, None]
-        # The samples only find candidates: a fixed seed keeps the result a function of the mesh.
+        normals, area = triangle_normals(vertices, triangles)
+        solid = area > 0
+        self.vertices = np.ascontiguousarray(vertices)
+        self.triangles = np.ascontiguousarray(triangles[solid])
+        self.corners = self.vertices[self.triangles]
+        self.normals = normals[solid]
+        # A fixed seed keeps what the samples are used for a function of the mesh.
         samples, owner = sample_triangles(
-            vertices, triangles[solid], SAMPLES, np.random.default_rng(0)
+            vertices, self.triangles, SAMPLES, np.random.default_rng(0)
         )
         self.owner = np.concatenate([owner, np.arange(len(self.corners))])
         self.samples = np.concatenate([samples, self.corners.mean(axis=1)])
@@ -47,21 +48,29 @@ class ClosestPoint:
         return np.asarray(self.normals[self.owner])
 
     def keep(self, wanted: NDArray[np.bool_], turned: NDArray[np.bool_]) -> None:
-        """Leave out the samples that are not ``wanted (S,)``; turn the normals of the triangles
-        with ``turned (S,)`` samples."""
+        """Leave out the samples that are not ``wanted (S,)``, and triangles without any that is;
+        turn the normals of the triangles with ``turned (S,)`` samples."""
         flip = np.zeros(len(self.normals), dtype=bool)
         flip[self.owner[turned]] = True
         self.normals = np.where(flip[:, None], -self.normals, self.normals)
         self.samples, self.owner = self.samples[wanted], self.owner[wanted]
+        kept = np.unique(self.owner)
+        number = np.zeros(len(self.normals), dtype=np.int64)
+        number[kept] = np.arange(len(kept))
+        self.owner = number[self.owner]
+        self.triangles, self.corners = self.triangles[kept], self.corners[kept]
+        self.normals = self.normals[kept]
         for tree in ("tree", "facing"):
             self.__dict__.pop(tree, None)
 
     @cached_property
     def tree(self) -> Any:
-        """Over the samples."""
-        from scipy.spatial import cKDTree
+        """Over the triangles."""
+        import igl
 
-        return cKDTree(self.samples)
+        tree = igl.AABB()
+        tree.init(self.vertices, self.triangles)
+        return tree
 
     @cached_property
     def facing(self) -> Any:
@@ -70,29 +79,37 @@ class ClosestPoint:
 
         return cKDTree(np.concatenate([self.samples, self.reach * self.sample_normals], axis=1))
 
+    def locate(self, points: Floats) -> tuple[Floats, Ints]:
+        """The closest points ``(N, 3)`` of all triangles, and the triangle of each ``(N,)``."""
+        _, triangle, closest = self.tree.squared_distance(
+            self.vertices, self.triangles, np.ascontiguousarray(points)
+        )
+        return closest, triangle.astype(np.int64)
+
     def __call__(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
         """Closest points ``(N, 3)`` and the unit normals of their triangles.
 
-        With ``normals (N, 3)`` triangles that face the other way count only if no other is near.
+        With ``normals (N, 3)`` a triangle that faces the other way counts only if none of the
+        triangles of the nearest samples that do not is to be had.
         """
-        _, near = self.tree.query(points, CANDIDATES, workers=self.threads)
-        if normals is not None:
-            at = np.concatenate([points, self.reach * normals], axis=1)
-            _, same = self.facing.query(at, CANDIDATES, workers=self.threads)
-            near = np.concatenate([near, same], axis=1)
-        best = np.full(len(points), np.inf)
-        closest, direction = np.zeros_like(points), np.zeros_like(points)
-        for column in range(near.shape[1]):
-            triangle = self.owner[near[:, column]]
-            found = closest_on_triangles(points, self.corners[triangle])
-            distance = ((found - points) ** 2).sum(axis=1)
-            if normals is not None:
-                against = np.einsum("ij,ij->i", self.normals[triangle], normals) < AGAINST
-                distance = np.where(against, 1e6 * (distance + np.finfo(float).tiny), distance)
-            better = distance < best
-            best[better] = distance[better]
-            closest[better], direction[better] = found[better], self.normals[triangle[better]]
-        return closest, direction
+        closest, triangle = self.locate(points)
+        if normals is None:
+            return closest, self.normals[triangle]
+        against = np.einsum("ij,ij->i", self.normals[triangle], normals) < AGAINST
+        row = np.flatnonzero(against)
+        if len(row):
+            at = np.concatenate([points[row], self.reach * normals[row]], axis=1)
+            _, near = self.facing.query(at, CANDIDATES, workers=self.threads)
+            best = np.full(len(row), np.inf)
+            for column in range(near.shape[1]):
+                other = self.owner[near[:, column]]
+                found = closest_on_triangles(points[row], self.corners[other])
+                distance = ((found - points[row]) ** 2).sum(axis=1)
+                facing = np.einsum("ij,ij->i", self.normals[other], normals[row]) >= AGAINST
+                better = facing & (distance < best)
+                best[better] = distance[better]
+                closest[row[better]], triangle[row[better]] = found[better], other[better]
+        return closest, self.normals[triangle]
 
 
 def closest_on_triangles(points: Floats, corners: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -57,6 +57,12 @@ class Sized:
     vertices: Floats
     triangles: Ints
     length: Floats
+    carried: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """Further values of the vertices ``(V, k)`` that go with them through the operations."""
+
+    def __post_init__(self) -> None:
+        if len(self.carried) != len(self.vertices):
+            self.carried = np.zeros((len(self.vertices), 0))
 
     def edge_target(self, ends: Ints) -> Floats:
         return np.asarray(self.length[ends].mean(axis=1))

@@ -64,9 +64,16 @@ def fan_triangles(mesh: PolygonMesh) -> tuple[Floats, Ints, Ints]:
     return vertices, triangles[order], faces[order]
 
 
-def triangle_areas(vertices: Floats, triangles: Ints) -> Floats:
+def triangle_normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Unit normals ``(T, 3)`` and areas ``(T,)``; a triangle without area gets a zero normal."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    cross = np.cross(b - a, c - a)
+    size = np.linalg.norm(cross, axis=1)
+    return cross / np.maximum(size, np.finfo(float).tiny)[:, None], 0.5 * size
+
+
+def triangle_areas(vertices: Floats, triangles: Ints) -> Floats:
+    return triangle_normals(vertices, triangles)[1]
 
 
 def enclosed_volume(vertices: Floats, triangles: Ints) -> float:
