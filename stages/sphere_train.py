@@ -32,12 +32,11 @@ SMALLEST_OFFSET = 0.05
 
 DEFAULTS: dict[str, dict[str, float]] = {
     "triangle": {
-        "iterations": 160,
-        "learning_rate": 0.006,
-        "weight_intersection": 5.0,
-        "weight_exclusion": 5.0,
-        "weight_shape": 20.0,
-        "weight_normal": 0.2,
+        "iterations": 25,
+        "weight_intersection": 30.0,
+        "weight_exclusion": 30.0,
+        "weight_shape": 100.0,
+        "weight_normal": 0.0,
     },
     "polygon": {
         "iterations": 800,
@@ -71,10 +70,9 @@ class Params(contract.Params):
     edge_length: Annotated[float, Range(0.05, 10)] = 0.6
     """Edge length of the triangles, in units of h0; shorter where the shape is thin."""
     iterations: Annotated[int, Range(0, 1_000_000)] | None = None
-    """Adam iterations; default: 160 for triangles, 800 for polygons."""
+    """Gauss-Newton steps on triangles, 25 by default, or Adam iterations on polygons, 800."""
     learning_rate: Positive | None = None
-    """First Adam step; default: 0.006 edge lengths for triangles, 0.01 h0 for polygons; decays to 0
-    as a cosine."""
+    """First Adam step on polygons, 0.01 h0 by default; decays to 0 as a cosine."""
     weight_intersection: Positive | None = None
     """Weight of the sphere-intersection loss; for triangles, of pairs that are to exist."""
     weight_exclusion: Positive | None = None
@@ -82,10 +80,11 @@ class Params(contract.Params):
     weight_shape: Positive | None = None
     """Weight of the shape loss."""
     weight_normal: Positive | None = None
-    """Weight of normal consistency."""
+    """Weight of normal consistency; for triangles, of vertices at the height of their
+    neighbours."""
     weight_smooth: Positive = 0.02
-    """Weight of vertices near the mean of their neighbours (triangles)."""
-    weight_radius: Positive = 0.05
+    """Weight of vertices amid their neighbours, along the surface (triangles)."""
+    weight_radius: Positive = 0.02
     """Weight of radii near the mean of their neighbours' (triangles)."""
     shape_loss: Literal["distance", "level-set", "chamfer"] | None = None
     """Distance to the surface (the default), or the paper's: level-set for fields, Chamfer for
@@ -99,6 +98,11 @@ class Params(contract.Params):
             raise UsageError(
                 f"--shape-loss {self.shape_loss}: triangles are trained on the distance; add "
                 "--faces polygon or --preset paper"
+            )
+        if self.conforming and self.learning_rate is not None:
+            raise UsageError(
+                "--learning-rate: triangles are trained by Gauss-Newton steps, which have none; "
+                "add --faces polygon or --preset paper"
             )
 
     @property
@@ -125,7 +129,7 @@ def _triangles(context: Context) -> Outcome:
     """Triangle faces: remeshed, trained until they conform, and certified."""
     import numpy as np
 
-    from .optimize.conforming import Leg, Spheres, conform
+    from .optimize.conforming import Leg, conform
     from .sources.true_surface import true_surface
     from .surface.geometry import fan_triangles
     from .surface.model_frame import ModelFrame
@@ -150,24 +154,23 @@ def _triangles(context: Context) -> Outcome:
     start = remesh(
         *fan_triangles(first)[:2],
         length,
-        lambda points, normals: surface.closest(points, normals)[0],
-        (surface.samples, surface.normals),
+        surface,
     )
     weights = {
         name: params.value(f"weight_{name}")
         for name in ("intersection", "exclusion", "shape", "normal")
     } | {"smooth": params.weight_smooth, "radius": params.weight_radius}
     spheres, history, rounds = conform(
-        Spheres.at(*start),
+        start,
         surface,
-        Leg(int(params.value("iterations")), params.value("learning_rate"), weights),
+        Leg(int(params.value("iterations")), weights),
         context.checkpoints,
         context.progress,
         context.threads,
     )
     trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
     count = trained.face_count
-    points, square, _ = spheres.pairs()
+    points, square = spheres.generators()
     outside, inside = points[:count], points[count:]
     warnings = []
     if from_input:
@@ -369,7 +372,7 @@ def _outcome(
 
 STAGE = Stage(
     name="sphere-train",
-    version=2,
+    version=3,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

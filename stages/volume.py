@@ -40,7 +40,7 @@ def run(context: Context) -> Outcome:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .voronoi.cells import open_cells, polyhedral_mesh
-    from .voronoi.certificate import certify
+    from .voronoi.certificate import MARGIN, certify
     from .voronoi.delaunay import delaunay
     from .voronoi.interface import interface
     from .voronoi.interior import Guard, lloyd_step, sample
@@ -60,7 +60,8 @@ def run(context: Context) -> Outcome:
     recorded = context.folder.manifest("sphere-train") or {}
     certified = bool(recorded["metrics"]["certificate"]["holds"])
     if certified:
-        guard = Guard(boundary, labels, mesh_trained.vertices, radii)
+        # As far outside the spheres as the certificate asks.
+        guard = Guard(boundary, labels, mesh_trained.vertices, np.sqrt(radii**2 + 2 * MARGIN))
     else:
         guard = Guard.of(boundary, labels, before)
     mean_area = float(face_frames(before.mesh)[0].mean())
@@ -155,7 +156,7 @@ def run(context: Context) -> Outcome:
 
 STAGE = Stage(
     name="volume",
-    version=2,
+    version=3,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "sphere-train"),

@@ -17,7 +17,7 @@ import numpy as np
 from ..surface.edge_table import EdgeTable, Sized
 from ..surface.geometry import triangle_normals, vertex_normals
 from ..surface.polygons import Floats, Ints
-from .least_squares import Block, Normal
+from .least_squares import Block, GaussNewton
 
 if TYPE_CHECKING:
     from ..sources.true_surface import TrueSurface
@@ -166,7 +166,8 @@ def fit(mesh: Sized, surface: TrueSurface) -> None:
         columns = 3 * rows.corners[:, :, None] + np.arange(3)
         values = root[:, None, None] * rows.gradient()
         blocks.append(Block.dense(columns, values, root * rows.distance(mesh.vertices)))
-    move = Normal(blocks, 3 * len(mesh.vertices)).step(DAMPING).reshape(-1, 3)
+    free = np.ones(3 * len(mesh.vertices), dtype=bool)
+    move = GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3)
     length = np.linalg.norm(move, axis=1, keepdims=True)
     most = LONGEST_STEP * mesh.length[:, None]
     mesh.vertices = mesh.vertices + move * np.minimum(1.0, most / np.maximum(length, ON_SURFACE))

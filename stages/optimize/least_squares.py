@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, Ints
 
@@ -33,14 +34,15 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Normal:
-    """The normal equations of ``sum residual^2`` in ``unknowns`` unknowns."""
+class GaussNewton:
+    """Steps that lessen ``sum residual^2`` over the unknowns that are ``free (U,)``."""
 
     blocks: Sequence[Block]
-    unknowns: int
+    free: NDArray[np.bool_]
 
     @cached_property
-    def _system(self) -> tuple[Any, Floats]:
+    def _system(self) -> tuple[Any, Any, Floats, Floats]:
+        """The Jacobian, its transpose, the gradient and the squares of the columns."""
         from scipy.sparse import csr_array
 
         ends = np.cumsum([len(block.residual) for block in self.blocks])
@@ -48,26 +50,34 @@ class Normal:
         rows = np.concatenate([b.rows + at for b, at in zip(self.blocks, starts, strict=True)])
         columns = np.concatenate([block.columns for block in self.blocks])
         values = np.concatenate([block.values for block in self.blocks])
-        jacobian = csr_array((values, (rows, columns)), shape=(ends[-1], self.unknowns))
         residual = np.concatenate([block.residual for block in self.blocks])
-        return (jacobian.T @ jacobian).tocsr(), jacobian.T @ residual
+        used = self.free[columns] & (values != 0)
+        number = np.cumsum(self.free) - 1
+        # Rows without a free unknown have no part in the step.
+        kept = np.zeros(ends[-1], dtype=bool)
+        kept[rows[used]] = True
+        rows = (np.cumsum(kept) - 1)[rows[used]]
+        shape = (int(kept.sum()), int(self.free.sum()))
+        jacobian = csr_array((values[used], (rows, number[columns[used]])), shape=shape)
+        transpose = jacobian.T.tocsr()
+        squares = np.bincount(jacobian.indices, jacobian.data**2, minlength=shape[1])
+        return jacobian, transpose, transpose @ residual[kept], squares
 
-    def step(self, damping: float, free: Floats | None = None) -> Floats:
-        """The step ``(unknowns,)`` with ``damping`` in units of the mean diagonal.
-
-        ``free (unknowns,)``: 0 where an unknown is to stay, 1 elsewhere.
-        """
+    def step(self, damping: float) -> Floats:
+        """The step ``(U,)`` with ``damping`` in units of the mean square of a column."""
         from scipy.sparse.linalg import LinearOperator, cg
 
-        matrix, gradient = self._system
-        diagonal = matrix.diagonal()
-        shift = damping * diagonal.mean()
-        mask = np.ones(self.unknowns) if free is None else free
-        step, _ = cg(
-            LinearOperator(matrix.shape, lambda x: mask * (matrix @ (mask * x)) + shift * x),
-            -mask * gradient,
+        jacobian, transpose, gradient, squares = self._system
+        result = np.zeros(len(self.free))
+        if len(gradient) == 0:
+            return result
+        shift = damping * squares.mean()
+        shape = (len(gradient), len(gradient))
+        result[self.free], _ = cg(
+            LinearOperator(shape, lambda x: transpose @ (jacobian @ x) + shift * x),
+            -gradient,
             rtol=TOLERANCE,
             maxiter=ITERATIONS,
-            M=LinearOperator(matrix.shape, lambda x: x / (diagonal + shift)),
+            M=LinearOperator(shape, lambda x: x / (squares + shift)),
         )
-        return np.asarray(mask * step)
+        return result

@@ -1,0 +1,103 @@
+"""Spheres at the vertices of a triangle surface, whose generators follow in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..losses import conforming
+from ..surface.edge_table import EdgeTable, Sized
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.spheres import near_pairs
+
+FIRST_RADIUS = 0.8
+"""In edge lengths."""
+SMALLEST = 0.1
+"""``delta_f`` that stands for a missing pair while there is none, in edge lengths."""
+SAFE = 1e-4
+"""Smallest power, in units of h0^2, that lets a generator pass as outside a sphere."""
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """A triangle surface with spheres at its vertices, in model units."""
+
+    centres: Floats
+    radii: Floats
+    triangles: Ints
+    lengths: Floats
+    """Mean length of the edges at each vertex when they were last changed."""
+    hold: Floats
+    """Share of the shape's weight at each vertex."""
+    age: Floats
+    """Rounds of repair in which each vertex was at an intruder."""
+
+    @classmethod
+    def at(cls, mesh: Sized) -> Spheres:
+        length = edge_lengths(mesh.vertices, mesh.triangles)
+        ones = np.ones_like(length)
+        return cls(mesh.vertices, FIRST_RADIUS * length, mesh.triangles, length, ones, 0 * ones)
+
+    @property
+    def face_lengths(self) -> Floats:
+        return np.asarray(self.lengths[self.triangles].mean(axis=1))
+
+    def pairs(self) -> conforming.Pairs:
+        return conforming.radical_pairs(self.centres, self.radii, self.triangles)
+
+    def generators(self) -> tuple[Floats, Floats]:
+        """Generators ``(2F, 3)``, outer ones first, and delta^2 ``(F,)``."""
+        pairs = self.pairs()
+        return pairs.points((SMALLEST * self.face_lengths) ** 2), pairs.square
+
+    def intruded(self, threads: int) -> NDArray[np.bool_]:
+        """Vertices whose sphere holds a generator not its own, or a triangle without a pair."""
+        points, square = self.generators()
+        mesh = PolygonMesh.of_triangles(self.centres, self.triangles)
+        point, sphere = near_pairs(mesh, points, self.centres, self.radii, 0.02, threads)
+        power = ((points[point] - self.centres[sphere]) ** 2).sum(axis=1) - self.radii[sphere] ** 2
+        found = np.zeros(len(self.centres), dtype=bool)
+        found[sphere[power < SAFE]] = True
+        found[self.triangles[square <= (SMALLEST * self.face_lengths) ** 2]] = True
+        return found
+
+    def as_mesh(self) -> Sized:
+        """Centres, triangles and lengths; radii and holds are carried along."""
+        carried = np.stack([self.radii, self.hold, self.age], axis=1)
+        return Sized(self.centres, self.triangles, self.lengths, carried)
+
+    @classmethod
+    def of_mesh(cls, mesh: Sized) -> Spheres:
+        radii, hold, age = mesh.carried.T[:3]
+        return cls(mesh.vertices, radii, mesh.triangles, mesh.length, hold, age)
+
+
+def edge_lengths(vertices: Floats, triangles: Ints) -> Floats:
+    """Mean length of the edges at each vertex, ``(V,)``."""
+    table = EdgeTable.of(triangles)
+    length, ends = table.lengths(vertices), table.ends.reshape(-1)
+    total = np.bincount(ends, np.repeat(length, 2), minlength=len(vertices))
+    return np.asarray(total / np.maximum(np.bincount(ends, minlength=len(vertices)), 1))
+
+
+def intrusion_gain(mesh: Sized, table: EdgeTable) -> Floats:
+    """By how much a flip lessens the intrusion of the generators of an edge's two triangles into
+    the spheres opposite, where there is any. The radii are the first column carried along."""
+    radii = mesh.carried[:, 0]
+
+    def intrusion(first: list[Ints], second: list[Ints]) -> Floats:
+        worst = np.full(len(table.ends), -np.inf)
+        for corners, sphere in ((first, second[2]), (second, first[2])):
+            triangles = np.stack(corners, 1)
+            floor = (SMALLEST * mesh.length[triangles].mean(axis=1)) ** 2
+            points = conforming.radical_pairs(mesh.vertices, radii, triangles).points(floor)
+            arm = points - np.concatenate([mesh.vertices[sphere]] * 2)
+            power = np.einsum("ij,ij->i", arm, arm) - np.concatenate([radii[sphere]] * 2) ** 2
+            worst = np.maximum(worst, -power.reshape(2, -1).min(axis=0))
+        return worst / mesh.edge_target(table.ends) ** 2
+
+    (a, b), (c, d) = table.ends.T, table.opposite.T
+    now, then = intrusion([a, b, c], [b, a, d]), intrusion([d, c, a], [c, d, b])
+    return np.where(now > 0, now - then, -1.0)
