@@ -15,23 +15,18 @@ from .contract import Context, Outcome, Positive, Range, Stage
 from .errors import UsageError
 
 if TYPE_CHECKING:
+    from .optimize.spheres import Spheres
+    from .sources.true_surface import TrueSurface
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats, PolygonMesh
 
-NEIGHBOURS_EVERY = 10
-"""Iterations between searches for spheres that may intrude."""
-NEIGHBOUR_SLACK = 0.15
-"""How much further than a sphere's radius is searched, for what moves in between."""
-CORRESPONDENCES_EVERY = 10
-"""Iterations between nearest-point searches of the shape loss."""
-MERGE = 1e-4
-"""In units of h0: edges of the diagram shorter than this are contracted where it is compared."""
 SMALLEST_OFFSET = 0.05
 """In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
 
 
 DEFAULTS: dict[str, dict[str, float]] = {
     "triangle": {
+        "edge_length": 0.55,
         "iterations": 25,
         "weight_intersection": 30.0,
         "weight_exclusion": 30.0,
@@ -39,12 +34,11 @@ DEFAULTS: dict[str, dict[str, float]] = {
         "weight_normal": 0.0,
     },
     "polygon": {
-        "iterations": 800,
-        "learning_rate": 0.01,
-        "weight_intersection": 60.0,
-        "weight_exclusion": 10.0,
-        "weight_shape": 1.0,
-        "weight_normal": 0.1,
+        "edge_length": 0.45,
+        "iterations": 16,
+        "weight_intersection": 1000.0,
+        "weight_exclusion": 30.0,
+        "weight_shape": 30.0,
     },
     "paper": {
         "iterations": 800,
@@ -55,7 +49,8 @@ DEFAULTS: dict[str, dict[str, float]] = {
         "weight_normal": 0.1,
     },
 }
-"""What an option that is not given is, by kind of faces or by preset."""
+"""What an option that is not given is, by kind of faces or by preset; what stands in none of them
+is not asked for there."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +58,17 @@ class Params(contract.Params):
     """Options of the sphere-train stage."""
 
     faces: Literal["triangle", "polygon"] = "triangle"
-    """Triangles, whose surface conforms exactly, or the polygons of the paper."""
+    """Triangles, whose surface conforms exactly, or polygons, which do nearly, as in the paper."""
     preset: Literal["default", "paper"] = "default"
-    """paper: its losses, weights of 10, 10, 1 and 0.1; triangles are then polygons split at their
-    centroids."""
-    edge_length: Annotated[float, Range(0.05, 10)] = 0.6
-    """Edge length of the triangles, in units of h0; shorter where the shape is thin."""
+    """paper: Adam on the initial surface with its losses and weights of 10, 10, 1 and 0.1;
+    triangles are then polygons split at their centroids."""
+    edge_length: Annotated[float, Range(0.05, 10)] | None = None
+    """Edge length of the triangles, 0.55 h0 by default, shorter where the shape is thin; of those
+    whose vertices become polygons, 0.45."""
     iterations: Annotated[int, Range(0, 1_000_000)] | None = None
-    """Gauss-Newton steps on triangles, 25 by default, or Adam iterations on polygons, 800."""
+    """Gauss-Newton steps, 25 on triangles and 16 on polygons; 800 Adam iterations of the paper."""
     learning_rate: Positive | None = None
-    """First Adam step on polygons, 0.01 h0 by default; decays to 0 as a cosine."""
+    """First Adam step of the paper's training, 0.01 h0; decays to 0 as a cosine."""
     weight_intersection: Positive | None = None
     """Weight of the sphere-intersection loss; for triangles, of pairs that are to exist."""
     weight_exclusion: Positive | None = None
@@ -83,38 +79,49 @@ class Params(contract.Params):
     """Weight of normal consistency; for triangles, of vertices at the height of their
     neighbours."""
     weight_smooth: Positive = 0.02
-    """Weight of vertices amid their neighbours, along the surface (triangles)."""
+    """Weight of vertices amid their neighbours, along the surface."""
     weight_radius: Positive = 0.02
     """Weight of radii near the mean of their neighbours' (triangles)."""
     shape_loss: Literal["distance", "level-set", "chamfer"] | None = None
-    """Distance to the surface (the default), or the paper's: level-set for fields, Chamfer for
-    meshes (the default of the preset)."""
+    """Distance to the surface (the default), or, trained as in the paper, its own: level-set for
+    fields, Chamfer for meshes (the default of the preset)."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
+    merge: Positive = 0.1
+    """Vertices of the polygons' diagram this near to a trained one, in units of h0, become it in
+    the written surface, so that slivers between polygons vanish; 0 writes them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.conforming and self.shape_loss not in (None, "distance"):
+        if self.faces == "triangle" and self.preset == "default" and self.by_adam:
             raise UsageError(
                 f"--shape-loss {self.shape_loss}: triangles are trained on the distance; add "
                 "--faces polygon or --preset paper"
             )
-        if self.conforming and self.learning_rate is not None:
-            raise UsageError(
-                "--learning-rate: triangles are trained by Gauss-Newton steps, which have none; "
-                "add --faces polygon or --preset paper"
-            )
+        for name in ("edge_length", "learning_rate", "weight_normal"):
+            if getattr(self, name) is not None and name not in DEFAULTS[self.kind]:
+                other = "--preset paper" if name == "learning_rate" else "--faces triangle"
+                raise UsageError(
+                    f"--{name.replace('_', '-')}: not used in this training; add {other}"
+                )
 
     @property
-    def conforming(self) -> bool:
-        """Whether triangles are trained whose pairs are in closed form."""
-        return self.faces == "triangle" and self.preset == "default"
+    def by_adam(self) -> bool:
+        """Whether the initial surface is trained as in the paper."""
+        return self.preset == "paper" or self.shape_loss not in (None, "distance")
+
+    @property
+    def kind(self) -> str:
+        """The row of DEFAULTS."""
+        return "paper" if self.by_adam else self.faces
 
     def value(self, name: str) -> float:
         """What was given for ``name``, or its default."""
         given = getattr(self, name)
-        kind = "paper" if self.preset == "paper" else self.faces
-        return float(DEFAULTS[kind][name] if given is None else given)
+        return float(DEFAULTS[self.kind][name] if given is None else given)
+
+    def weights(self, *names: str) -> dict[str, float]:
+        return {name: self.value(f"weight_{name}") for name in names}
 
 
 def run(context: Context) -> Outcome:
@@ -122,15 +129,26 @@ def run(context: Context) -> Outcome:
     import torch
 
     torch.set_num_threads(context.threads)
-    return _triangles(context) if context.params.conforming else _polygons(context)
+    if context.params.by_adam:
+        return _as_in_the_paper(context)
+    return _triangles(context) if context.params.faces == "triangle" else _polygons(context)
 
 
-def _triangles(context: Context) -> Outcome:
-    """Triangle faces: remeshed, trained until they conform, and certified."""
-    import numpy as np
+@dataclass(frozen=True)
+class _Trained:
+    """Trained triangles, the losses of their training, and how it went."""
 
+    spheres: Spheres
+    history: Floats
+    rounds: int
+    from_input: bool
+
+
+def _trained_triangles(
+    context: Context, surface: TrueSurface, weights: dict[str, float], iterations: int
+) -> _Trained:
+    """The initial surface remeshed and trained until it conforms."""
     from .optimize.conforming import Leg, conform
-    from .sources.true_surface import true_surface
     from .surface.geometry import fan_triangles
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
@@ -138,11 +156,9 @@ def _triangles(context: Context) -> Outcome:
     from .surface.sizing import for_surface
     from .surface.topology import topology
 
-    params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
     first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
     first = first.with_vertices(frame.model_from_input(first.vertices))
-    surface = true_surface(context.source(), frame, context.threads)
     expected, given = context.source().topology(), topology(first)
     from_input = expected not in (None, (given.euler_number, given.components))
     if from_input:
@@ -150,56 +166,120 @@ def _triangles(context: Context) -> Outcome:
         # by everything that follows.
         first = context.source().manifold()
         first = first.with_vertices(frame.model_from_input(first.vertices))
-    length = for_surface(surface.samples, surface.normals, params.edge_length)
-    start = remesh(
-        *fan_triangles(first)[:2],
-        length,
-        surface,
-    )
-    weights = {
-        name: params.value(f"weight_{name}")
-        for name in ("intersection", "exclusion", "shape", "normal")
-    } | {"smooth": params.weight_smooth, "radius": params.weight_radius}
+    length = for_surface(surface.samples, surface.normals, context.params.value("edge_length"))
+    start = remesh(*fan_triangles(first)[:2], length, surface)
     spheres, history, rounds = conform(
-        start,
-        surface,
-        Leg(int(params.value("iterations")), weights),
-        context.checkpoints,
-        context.progress,
+        start, surface, Leg(iterations, weights), context.checkpoints, context.progress,
         context.threads,
-    )
-    trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
-    count = trained.face_count
-    points, square = spheres.generators()
-    outside, inside = points[:count], points[count:]
+    )  # fmt: skip
+    return _Trained(spheres, history, rounds, from_input)
+
+
+def _how(context: Context, rounds: int, from_input: bool) -> tuple[dict[str, Any], list[str]]:
+    """Metrics and warnings of a training that started from triangles."""
     warnings = []
     if from_input:
         warnings.append(
             "the initial surface has not the input's topology: the input's triangles were remeshed"
         )
     if context.device != "cpu":
-        warnings.append(f"--device {context.device}: triangles are trained on the CPU")
+        warnings.append(f"--device {context.device}: this training runs on the CPU")
+    return {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}, warnings
+
+
+def _triangles(context: Context) -> Outcome:
+    """Triangle faces: remeshed, trained until they conform, and certified."""
+    import numpy as np
+
+    from .sources.true_surface import true_surface
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import PolygonMesh
+
+    params = context.params
+    frame = ModelFrame.of(context.arrays("classify"))
+    names = ("intersection", "exclusion", "shape", "normal", "smooth", "radius")
+    done = _trained_triangles(
+        context,
+        true_surface(context.source(), frame, context.threads),
+        params.weights(*names),
+        int(params.value("iterations")),
+    )
+    spheres = done.spheres
+    trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
+    count = trained.face_count
+    points, square = spheres.generators()
     return _outcome(
-        context, frame, trained, spheres.radii, np.sqrt(np.maximum(square, 0.0)), inside, outside,
-        np.mean(spheres.lengths[spheres.triangles], axis=1) / params.edge_length, history,
-        {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}, warnings,
-    )  # fmt: skip
+        context,
+        frame,
+        trained,
+        spheres.radii,
+        np.sqrt(np.maximum(square, 0.0)),
+        points[count:],
+        points[:count],
+        spheres.face_lengths / params.value("edge_length"),
+        done.history,
+        *_how(context, done.rounds, done.from_input),
+    )
 
 
 def _polygons(context: Context) -> Outcome:
-    """The paper's training on polygon faces, then the diagram of all pairs."""
+    """Polygon faces: a polygon for every vertex of trained triangles, trained in turn."""
     import numpy as np
-    import torch
 
-    from .losses import regularization, shape, sphere
-    from .optimize.loop import Schedule, adam
-    from .surface.frames import Connectivity, face_frames
-    from .surface.geometry import face_frames as numpy_frames
-    from .surface.geometry import fan_triangles
+    from .optimize.polygons import train_polygons
+    from .sources.true_surface import true_surface
+    from .surface.dual import dual
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
-    from .surface.spheres import initial_spheres, near_pairs
-    from .voronoi.pairs import label_pairs
+
+    params = context.params
+    frame = ModelFrame.of(context.arrays("classify"))
+    surface = true_surface(context.source(), frame, context.threads)
+    found = context.checkpoints.latest()
+    if found is not None and "polygon/vertices" in found[1]:
+        mesh = PolygonMesh.from_arrays(found[1], "polygon/")
+        how = found[1]["rounds"].item(), bool(found[1]["from_input"])
+    else:
+        plain = DEFAULTS["triangle"]
+        names = ("intersection", "exclusion", "shape", "normal")
+        weights = {name: plain[f"weight_{name}"] for name in names}
+        weights |= params.weights("smooth", "radius")
+        done = _trained_triangles(context, surface, weights, int(plain["iterations"]))
+        mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
+        how = done.rounds, done.from_input
+    state, history = train_polygons(
+        mesh,
+        surface,
+        int(params.value("iterations")),
+        params.weights("intersection", "exclusion", "shape", "smooth"),
+        context.checkpoints,
+        {**mesh.as_arrays("polygon/"), "rounds": np.array(how[0]), "from_input": np.array(how[1])},
+        context.progress,
+        context.threads,
+    )
+    return _labelled(
+        context,
+        frame,
+        mesh.with_vertices(state.centres),
+        state.radii,
+        0.5 * np.linalg.norm(state.outer - state.inner, axis=1),
+        state.outer,
+        state.inner,
+        history,
+        *_how(context, *how),
+    )
+
+
+def _as_in_the_paper(context: Context) -> Outcome:
+    """The paper's training of the initial surface, then the diagram of all pairs."""
+    import numpy as np
+
+    from .losses import shape
+    from .optimize.loop import Schedule
+    from .optimize.paper import train
+    from .surface.geometry import face_frames, fan_triangles
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import PolygonMesh
 
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
@@ -207,74 +287,53 @@ def _polygons(context: Context) -> Outcome:
     mesh = mesh.with_vertices(frame.model_from_input(mesh.vertices))
     if params.faces == "triangle":
         mesh = PolygonMesh.of_triangles(*fan_triangles(mesh)[:2])
-    first_radii, first_offsets = initial_spheres(mesh)
-    parameters = {
-        name: torch.tensor(values, device=context.device).requires_grad_(True)
-        for name, values in (
-            ("centres", mesh.vertices), ("radii", first_radii), ("offsets", first_offsets)
-        )
-    }  # fmt: skip
-    centres, radii, offsets = parameters.values()
-    connectivity = Connectivity.of(mesh, context.device)
-    usual = "distance" if params.preset == "default" else "paper"
-    shape_loss = shape.for_source(context, frame, params.shape_loss or usual)
-    near: list[torch.Tensor] = []
-
-    def losses(iteration: int) -> dict[str, torch.Tensor]:
-        frames = face_frames(centres, connectivity)
-        outer, inner = sphere.targets(frames.centroid, frames.normal, offsets)
-        points = torch.cat([outer, inner])
-        if iteration % NEIGHBOURS_EVERY == 0 or not near:
-            found = near_pairs(
-                mesh,
-                points.detach().cpu().numpy(),
-                centres.detach().cpu().numpy(),
-                radii.detach().cpu().numpy(),
-                NEIGHBOUR_SLACK,
-                context.threads,
-            )
-            near[:] = [torch.as_tensor(index, device=context.device) for index in found]
-        return {
-            "intersection": sphere.intersection(
-                outer, inner, centres, radii, connectivity.corner_faces, connectivity.corners
-            ),
-            "exclusion": sphere.exclusion(points, centres, radii, near[0], near[1]),
-            "shape": shape_loss(
-                shape.surface_samples(centres, frames), iteration % CORRESPONDENCES_EVERY == 0
-            ),
-            "normal": regularization.normal_consistency(frames, connectivity),
-        }
-
-    names = ("intersection", "exclusion", "shape", "normal")
-    history = adam(
-        parameters,
-        losses,
-        {name: params.value(f"weight_{name}") for name in names},
+    centres, radii, offsets, history = train(
+        mesh,
+        shape.for_source(context, frame, params.shape_loss or "paper"),
+        params.weights("intersection", "exclusion", "shape", "normal"),
         Schedule(int(params.value("iterations")), params.value("learning_rate"), "cosine", 50),
         context.checkpoints,
         context.progress,
-        "sphere-train",
+        context.device,
+        context.threads,
     )
-    trained_centres, trained_radii, trained_offsets = (
-        tensor.detach().cpu().numpy() for tensor in parameters.values()
-    )
-    trained = mesh.with_vertices(trained_centres)
-    _, normal, centroid = numpy_frames(trained)
-    collapsed = int((np.abs(trained_offsets) < SMALLEST_OFFSET).sum())
-    reach = np.maximum(np.abs(trained_offsets), SMALLEST_OFFSET)[:, None] * normal
-    pairs = label_pairs(trained, centroid + reach, centroid - reach)
-    warnings = []
+    trained = mesh.with_vertices(centres)
+    _, normal, centroid = face_frames(trained)
+    reach = np.maximum(np.abs(offsets), SMALLEST_OFFSET)[:, None] * normal
+    facts = {"collapsed": int((np.abs(offsets) < SMALLEST_OFFSET).sum())}
+    return _labelled(
+        context, frame, trained, radii, offsets, centroid + reach, centroid - reach, history,
+        facts, [],
+    )  # fmt: skip
+
+
+def _labelled(
+    context: Context,
+    frame: ModelFrame,
+    trained: PolygonMesh,
+    radii: Floats,
+    offsets: Floats,
+    ahead: Floats,
+    behind: Floats,
+    history: Floats,
+    metrics: dict[str, Any],
+    warnings: list[str],
+) -> Outcome:
+    """The outcome of polygons whose generators ``ahead, behind (F, 3)`` are to be labelled."""
+    import numpy as np
+
+    from .voronoi.pairs import label_pairs
+
+    pairs = label_pairs(trained, ahead, behind)
     if pairs.undecided:
         warnings.append(
             f"{pairs.undecided} generator pairs lie on one side of the trained surface and were "
             "labelled by their face's orientation"
         )
-    facts = {
-        "relabelled": pairs.relabelled, "undecided": pairs.undecided, "collapsed": collapsed,
-    }  # fmt: skip
+    facts = {"relabelled": pairs.relabelled, "undecided": pairs.undecided}
     return _outcome(
-        context, frame, trained, trained_radii, trained_offsets, pairs.inside, pairs.outside,
-        np.ones(trained.face_count), history, {"pairs": facts}, warnings,
+        context, frame, trained, radii, offsets, pairs.inside, pairs.outside,
+        np.ones(trained.face_count), history, {**metrics, "pairs": facts}, warnings,
     )  # fmt: skip
 
 
@@ -292,49 +351,38 @@ def _outcome(
     warnings: list[str],
 ) -> Outcome:
     """The certificate, the surface it allows to write, and the files in the input's coordinates."""
-    import numpy as np
 
     from .export import ply
     from .metrics import watertight
+    from .optimize.descent import TERMS
     from .surface.topology import topology
-    from .voronoi.certificate import certify
-    from .voronoi.cleanup import clean
-    from .voronoi.conformity import conformity
-    from .voronoi.interface import interface
+    from .voronoi.written import written
 
-    count = trained.face_count
-    generators = np.concatenate([inside, outside])
-    labels, owner = np.arange(2 * count) < count, np.arange(2 * count) % count
-    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
-    certificate = certify(trained, radii, generators, labels, pairs, context.threads)
-    raw = interface(generators, labels)
-    agreement = conformity(raw, owner, trained, radii, inside, outside, 1.0, context.threads)
-    merged = clean(raw, spacing=1.0, merge=MERGE)
-    if certificate.holds:
-        cleaned, written, bounds = merged, trained, np.stack([np.arange(count)] * 2, axis=1)
-    else:
-        cleaned = clean(raw, spacing=1.0)
-        written, bounds = cleaned.mesh, owner[cleaned.generators]
+    params, count = context.params, trained.face_count
+    merge = 0.0 if params.faces == "triangle" else params.merge
+    found = written(trained, radii, inside, outside, merge, context.threads)
+    certificate, agreement = found.certificate, found.conformity
+    if not certificate.holds:
         if agreement.pair_faces < count:
             warnings.append(
                 f"{count - agreement.pair_faces} of {count} trained faces have no face in the "
                 "diagram"
             )
-        remedy = "; raise --iterations" if context.params.conforming else ""
+        merged = f", slivers merged within {found.merged_within:.3f} h0" if merge else ""
         warnings.append(
             f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
-            f"generators is written, {100 * agreement.pair_area_share:.2f} % of its area between "
-            f"pairs{remedy}"
+            f"generators is written{merged}, {100 * agreement.pair_area_share:.2f} % of its area "
+            "between pairs"
         )
-    facts, expected = topology(written), context.source().topology()
+    facts, expected = topology(found.mesh), context.source().topology()
     if expected is not None and expected != (facts.euler_number, facts.components):
         warnings.append(
             f"the surface has Euler number {facts.euler_number} and {facts.components} components, "
             f"the input {expected[0]} and {expected[1]}: raise -n"
         )
-    surface = written.with_vertices(frame.input_from_model(written.vertices))
+    surface = found.mesh.with_vertices(frame.input_from_model(found.mesh.vertices))
     placed = trained.with_vertices(frame.input_from_model(trained.vertices))
-    names = ("intersection", "exclusion", "shape", "normal")
+    names = (*TERMS[:3], "normal") if params.by_adam else TERMS
     return Outcome(
         arrays={
             "spheres/center": placed.vertices,
@@ -346,7 +394,7 @@ def _outcome(
             "spacing": frame.spacing * spacing,
             "history": history,
             **surface.as_arrays("surface/"),
-            "surface/face_generators": bounds,
+            "surface/face_generators": found.bounds,
         },
         files={"ply": ply.encode(surface)},
         metrics={
@@ -355,12 +403,14 @@ def _outcome(
             "topology": vars(facts),
             "trained_topology": vars(topology(trained)),
             "conformity": vars(agreement),
-            "faces_after_merging": merged.mesh.face_count,
+            "faces_after_merging": found.faces_after_merging,
+            "written_faces": found.mesh.face_count,
+            "merged_within": found.merged_within,
             "cleanup": {
-                "dropped_flat": cleaned.dropped_flat,
-                "merged_vertices": cleaned.merged_vertices,
-                "dropped_faces": cleaned.dropped_faces,
-                "kept_degenerate": cleaned.kept_degenerate,
+                "dropped_flat": found.cleaned.dropped_flat,
+                "merged_vertices": found.cleaned.merged_vertices,
+                "dropped_faces": found.cleaned.dropped_faces,
+                "kept_degenerate": found.cleaned.kept_degenerate,
             },
             "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
             **metrics,

@@ -18,8 +18,9 @@ from ..surface.operations import Gain, contract_short, delaunay_gain, flip
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import astray, keeping, unfold
 from ..surface.sheets import part
+from .descent import DAMPING, TERMS, descend
+from .sphere_problem import SphereProblem
 from .spheres import Spheres, edge_lengths, intrusion_gain
-from .steps import DAMPING, TERMS, Steps
 
 if TYPE_CHECKING:
     from ..artifacts.checkpoints import Checkpoints
@@ -103,8 +104,8 @@ def conform(
             last = min(count, first + LEG)
             # What conformity needs gets its full weight by and by.
             ramp = [1.0 if number else min(1.0, 2 * (i + 1) / count) for i in range(first, last)]
-            steps = Steps(spheres, surface, weights, free, threads)
-            spheres, losses, damping = steps.run(ramp, damping)
+            problem = SphereProblem(spheres, surface, weights, free, threads)
+            spheres, losses, damping = descend(problem, spheres, ramp, damping)
             if not number:
                 history = np.concatenate([history, losses])
             progress.advance(last, f"loss {losses[-1].sum():.4g}")

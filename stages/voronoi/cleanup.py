@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..surface.edits import contract_short_edges, reduce_rings
 from ..surface.polygons import PolygonMesh
-from ..surface.topology import bad_edges, edges
+from ..surface.topology import bad_edges, edges, pinched_vertices
 from .delaunay import Floats, Ints
 from .interface import VoronoiSurface
 from .vertices import FLAT
@@ -57,14 +57,29 @@ def settle(positions: Floats, mesh: PolygonMesh, flat: NDArray[np.bool_]) -> Flo
 
 
 def clean(
-    surface: VoronoiSurface, spacing: float, flat: float = FLAT, merge: float = MERGE
+    surface: VoronoiSurface,
+    spacing: float,
+    flat: float = FLAT,
+    merge: float = MERGE,
+    anchors: Floats | None = None,
+    reach: float = 0.0,
 ) -> CleanSurface:
     """The interface without degenerate pieces, closed whenever ``surface`` is.
 
     ``merge`` is in units of ``spacing``. A vertex next to an edge that the clean-up would leave in
     other than two faces is put back as the diagram has it, until no such edge is left.
+
+    With ``anchors (A, 3)`` all vertices within ``reach`` of the same anchor become one, there: thin
+    faces between polygons that do not quite conform vanish.
     """
     raw = surface.mesh
+    near: Ints | None = None
+    drawn = np.zeros(raw.vertex_count, dtype=bool)
+    if anchors is not None:
+        from scipy.spatial import cKDTree
+
+        distance, near = cKDTree(anchors).query(raw.vertices)
+        near = np.where(distance <= reach, near, -1).astype(np.int64)
     is_flat = surface.flatness < flat
     raw = raw.with_vertices(settle(raw.vertices, raw, is_flat))
     frozen = np.zeros(raw.vertex_count, dtype=bool)
@@ -72,14 +87,19 @@ def clean(
         dropped = is_flat & ~frozen
         identity = np.where(dropped, -1, np.arange(raw.vertex_count))
         thinned, _ = reduce_rings(raw, identity)
-        target = contract_short_edges(thinned, merge * spacing, ~frozen & ~dropped)
+        if near is None:
+            target = contract_short_edges(thinned, merge * spacing, ~frozen & ~dropped)
+        else:
+            target, drawn = _joined(raw, np.where(frozen | dropped, -1, near))
         target[dropped] = -1
         mesh, keep = reduce_rings(raw, target)
-        broken = bad_edges(mesh)
+        broken = bad_edges(mesh).reshape(-1)
+        if near is not None:
+            broken = np.concatenate([broken, pinched_vertices(mesh)])
         if len(broken) == 0:
             break
         spoilt = np.zeros(raw.vertex_count + 1, dtype=bool)
-        spoilt[broken.reshape(-1)] = True
+        spoilt[broken] = True
         again = spoilt[target] & ~frozen
         lost = dropped & np.isin(np.arange(raw.vertex_count), _ring_mates(raw, spoilt[target]))
         if not (again | lost).any():
@@ -91,6 +111,11 @@ def clean(
     used = np.unique(mesh.face_vertices)
     renumber[used] = np.arange(len(used))
     moved = target >= 0
+    if near is not None and anchors is not None:
+        placed = mesh.vertices.copy()
+        drawn &= moved
+        placed[target[drawn]] = anchors[near[drawn]]
+        mesh = mesh.with_vertices(placed)
     return CleanSurface(
         mesh=mesh.without_unused_vertices(),
         generators=surface.generators[keep],
@@ -100,6 +125,26 @@ def clean(
         kept_degenerate=int(frozen.sum()),
         vertex_sources=renumber[target],
     )
+
+
+def _joined(mesh: PolygonMesh, group: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+    """For each vertex the first of those of its ``group (V,)`` that edges within the group lead to,
+    if there is no larger such set in the group, and itself elsewhere; which those are, ``(V,)``."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = mesh.vertex_count
+    ends = edges(mesh)
+    ends = ends[(group[ends[:, 0]] == group[ends[:, 1]]) & (group[ends[:, 0]] >= 0)]
+    graph = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    parts, part = connected_components(graph, directed=False)
+    size = np.bincount(part, minlength=parts)
+    first = np.full(parts, count, dtype=np.int64)
+    np.minimum.at(first, part, np.arange(count))
+    largest = np.zeros(int(group.max(initial=0)) + 1, dtype=np.int64)
+    np.maximum.at(largest, group[group >= 0], size[part[group >= 0]])
+    chosen = (group >= 0) & (size[part] == largest[np.maximum(group, 0)])
+    return np.where(chosen, first[part], np.arange(count)), chosen
 
 
 def _ring_mates(mesh: PolygonMesh, marked: NDArray[np.bool_]) -> Ints:

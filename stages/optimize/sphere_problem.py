@@ -1,0 +1,146 @@
+"""The least squares of spheres on triangles: shape, smoothness and what conformity needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NumericalFailure
+from ..losses import conforming
+from ..surface.edge_table import EdgeTable
+from ..surface.geometry import vertex_normals
+from ..surface.polygons import Floats, PolygonMesh
+from ..surface.spheres import near_pairs
+from .descent import limited
+from .fitting import Rows, backward, forward
+from .laplacian import Laplacian
+from .least_squares import Block
+from .spheres import SAFE, SMALLEST, Spheres
+
+if TYPE_CHECKING:
+    from ..sources.true_surface import TrueSurface
+
+SLACK = 0.15
+"""How much further than a sphere's radius is searched, for what moves in a step."""
+RADII = (0.3, 1.3)
+"""Limits of the radii, in edge lengths."""
+OFFSET = 0.5
+"""``delta_f`` below which a pair is penalised, in edge lengths."""
+MARGIN = 0.02
+"""Power below which a generator that is not a sphere's own is penalised, in edge lengths
+squared; twice SAFE where that is more."""
+LARGEST_STEP = 0.12
+"""Of a centre or radius, in edge lengths."""
+
+
+class SphereProblem:
+    """Unknowns ``(c_v, r_v)``, with fixed triangles and planes."""
+
+    def __init__(
+        self,
+        spheres: Spheres,
+        surface: TrueSurface,
+        weights: Mapping[str, float],
+        free: NDArray[np.bool_],
+        threads: int,
+    ) -> None:
+        self.spheres = spheres
+        self.weights, self.threads = weights, threads
+        self.free = np.repeat(free, 4)
+        self.count = len(spheres.centres)
+        self.margin = np.maximum(MARGIN, 2 * SAFE / spheres.lengths**2)
+        self.length, self.face_length = self.spheres.lengths, self.spheres.face_lengths
+        centres, triangles = spheres.centres, spheres.triangles
+        if not np.isfinite(centres).all():
+            raise NumericalFailure("a surface vertex is not finite: the training diverged")
+        self.shape: list[tuple[Rows, Floats]] = []
+        for way in (forward, backward):
+            rows = way(surface, centres, triangles)
+            hold = spheres.hold[rows.corners].min(axis=1)
+            scale = weights["shape"] * len(centres) * rows.share * hold
+            self.shape.append((rows, np.sqrt(scale) / self.length[rows.corners].mean(axis=1)))
+        self.laplacian = Laplacian.of(EdgeTable.of(triangles).ends, self.count)
+        # Where the shape is let go, smoothness takes its place.
+        loose = weights["smooth"] * (1 - spheres.hold)
+        self.bending = np.sqrt(weights["normal"] + loose) / self.length
+        self.smoothing = np.sqrt(weights["smooth"]) / self.length
+        self.evening = np.sqrt(weights["radius"]) / self.length
+
+    def moved(self, state: Spheres, step: Floats) -> Spheres:
+        shift, growth = step.reshape(-1, 4)[:, :3], step.reshape(-1, 4)[:, 3]
+        most = LARGEST_STEP * self.length
+        low, high = (limit * self.length for limit in RADII)
+        radii = np.clip(state.radii + np.clip(growth, -most, most), low, high)
+        return replace(state, centres=state.centres + limited(shift, most), radii=radii)
+
+    def prepare(self, state: Spheres, factor: float) -> None:
+        mesh = PolygonMesh.of_triangles(state.centres, state.triangles)
+        points, _ = state.generators()
+        self.near = near_pairs(mesh, points, state.centres, state.radii, SLACK, self.threads)
+        self.normal = vertex_normals(state.centres, state.triangles)
+        self.strict = {
+            key: np.sqrt(factor * self.weights[key]) for key in ("intersection", "exclusion")
+        }
+
+    def residuals(self, state: Spheres) -> dict[str, Floats]:
+        points, square = state.generators()
+        point, sphere = self.near
+        arm = points[point] - state.centres[sphere]
+        power = np.einsum("ij,ij->i", arm, arm) - state.radii[sphere] ** 2
+        bend = self.laplacian(state.centres)
+        height = np.einsum("ij,ij->i", bend, self.normal)
+        return {
+            "intersection": self.strict["intersection"]
+            * np.maximum(0.0, OFFSET**2 - square / self.face_length**2),
+            "exclusion": self.strict["exclusion"]
+            * np.maximum(0.0, self.margin[sphere] - power / self.length[sphere] ** 2),
+            "shape": np.concatenate(
+                [scale * rows.distance(state.centres) for rows, scale in self.shape]
+            ),
+            "normal": self.bending * height,
+            "smooth": (self.smoothing[:, None] * (bend - height[:, None] * self.normal)).reshape(
+                -1
+            ),
+            "radius": self.laplacian((self.evening * state.radii)[:, None])[:, 0],
+        }
+
+    def blocks(self, state: Spheres, residuals: dict[str, Floats]) -> list[Block]:
+        centres, radii, triangles = state.centres, state.radii, state.triangles
+        pairs, count = state.pairs(), len(state.triangles)
+        blocks = []
+        # Pairs that are to exist.
+        row = np.flatnonzero(residuals["intersection"])
+        columns, values = conforming.square_gradient(
+            pairs.centre[row], triangles[row], centres, radii
+        )
+        values = values * (-self.strict["intersection"] / self.face_length[row] ** 2)[:, None]
+        blocks.append(Block.dense(columns, values, residuals["intersection"][row]))
+        # Generators that are to stay out of other spheres; one that stands for a missing pair
+        # follows no sphere.
+        row = np.flatnonzero(residuals["exclusion"])
+        point, sphere = self.near[0][row], self.near[1][row]
+        floor = (SMALLEST * self.face_length) ** 2
+        face = point % count
+        columns, values = conforming.power_gradient(
+            pairs.points(floor)[point], triangles[face], sphere, centres, radii
+        )
+        values[pairs.square[face] <= floor[face], :12] = 0.0
+        values *= (-self.strict["exclusion"] / self.length[sphere] ** 2)[:, None]
+        blocks.append(Block.dense(columns, values, residuals["exclusion"][row]))
+        done = 0
+        for rows, scale in self.shape:
+            columns = 4 * rows.corners[:, :, None] + np.arange(3)
+            values = scale[:, None, None] * rows.gradient()
+            part = residuals["shape"][done : done + len(scale)]
+            blocks.append(Block.dense(columns, values, part))
+            done += len(scale)
+        return [
+            *blocks,
+            self.laplacian.along(self.normal, self.smoothing, residuals["smooth"]),
+            self.laplacian.across(self.normal, self.bending, residuals["normal"]),
+            self.laplacian.radii(self.evening, residuals["radius"]),
+        ]

@@ -1,0 +1,75 @@
+"""The surface that a training may write: its own faces, or what their generators really bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.topology import topology
+from .certificate import Certificate, certify
+from .cleanup import CleanSurface, clean
+from .conformity import Conformity, conformity
+from .interface import interface
+from .vertices import FLAT
+
+MERGE = 1e-4
+"""In units of h0: edges of the diagram shorter than this are contracted where it is compared."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A surface, the trained faces whose generators bound each of its faces, and what was found."""
+
+    mesh: PolygonMesh
+    bounds: Ints
+    """Trained faces of the inside and the outside generator of each face, ``(F, 2)``."""
+    certificate: Certificate
+    conformity: Conformity
+    cleaned: CleanSurface
+    faces_after_merging: int
+    """Of the diagram, after merging at MERGE."""
+    merged_within: float
+    """How far vertices were moved to make slivers vanish, in units of h0."""
+
+
+def written(
+    trained: PolygonMesh, radii: Floats, inside: Floats, outside: Floats, merge: float, threads: int
+) -> Written:
+    """The trained faces if the certificate holds; else the interface of ``inside, outside (F, 3)``,
+    vertices within ``merge`` of a trained one drawn to it where its topology stays (0: as it is).
+    """
+    count = trained.face_count
+    generators = np.concatenate([inside, outside])
+    labels, owner = np.arange(2 * count) < count, np.arange(2 * count) % count
+    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
+    certificate = certify(trained, radii, generators, labels, pairs, threads)
+    raw = interface(generators, labels)
+    agreement = conformity(raw, owner, trained, radii, inside, outside, 1.0, threads)
+    compared = clean(raw, spacing=1.0, merge=MERGE)
+    if certificate.holds:
+        bounds = np.stack([np.arange(count)] * 2, axis=1)
+        faces = compared.mesh.face_count
+        return Written(trained, bounds, certificate, agreement, compared, faces, 0.0)
+    cleaned, within = clean(raw, spacing=1.0), 0.0
+    if merge > 0:
+        simpler = clean(raw, spacing=1.0, anchors=trained.vertices, reach=merge)
+        facts = [topology(mesh) for mesh in (cleaned.mesh, simpler.mesh)]
+        same = len({(f.euler_number, f.components, f.bad_edges, f.pinched_vertices) for f in facts})
+        if same == 1:
+            source = simpler.vertex_sources
+            kept = source >= 0
+            moved = simpler.mesh.vertices[source[kept]] - raw.mesh.vertices[kept]
+            sound = raw.flatness[kept] > FLAT
+            within = float(np.linalg.norm(moved[sound], axis=1).max(initial=0.0))
+            cleaned = simpler
+    return Written(
+        cleaned.mesh,
+        owner[cleaned.generators],
+        certificate,
+        agreement,
+        cleaned,
+        compared.mesh.face_count,
+        within,
+    )
