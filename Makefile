@@ -81,7 +81,7 @@ check: $(VENV)/tested-with
 		--python-executable ../../$(BIN)/python --namespace-packages --explicit-package-bases \
 		-p vorolight.cli -p vorolight.schemas -p vorolight.stages
 	cd build/check && PYTHONPATH=site ../../$(BIN)/python -m vorolight.cli run sphere -n 6 \
-		--until volume --inner 20 --sphere-train-iterations 20 --force --quiet
+		--until volume --inner 20 --force --quiet
 
 schemas: $(VENV)/installed
 	$(BIN)/python -m vorolight.schemas.build

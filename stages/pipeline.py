@@ -264,7 +264,7 @@ def _versions() -> dict[str, str]:
     from importlib import metadata
 
     found = {"python": platform.python_version()}
-    for name in ("numpy", "scipy", "torch", "trimesh", "manifold3d", "h5py"):
+    for name in ("numpy", "scipy", "torch", "trimesh", "manifold3d", "libigl", "h5py"):
         found[name] = metadata.version(name)
     return found
 

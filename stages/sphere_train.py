@@ -15,8 +15,6 @@ from .contract import Context, Outcome, Positive, Range, Stage
 from .errors import UsageError
 
 if TYPE_CHECKING:
-    from .optimize.spheres import Spheres
-    from .sources.true_surface import TrueSurface
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats, PolygonMesh
 
@@ -36,9 +34,9 @@ DEFAULTS: dict[str, dict[str, float]] = {
     "polygon": {
         "edge_length": 0.45,
         "iterations": 16,
-        "weight_intersection": 1000.0,
+        "weight_intersection": 100.0,
         "weight_exclusion": 30.0,
-        "weight_shape": 30.0,
+        "weight_shape": 5.0,
     },
     "paper": {
         "iterations": 800,
@@ -134,47 +132,6 @@ def run(context: Context) -> Outcome:
     return _triangles(context) if context.params.faces == "triangle" else _polygons(context)
 
 
-@dataclass(frozen=True)
-class _Trained:
-    """Trained triangles, the losses of their training, and how it went."""
-
-    spheres: Spheres
-    history: Floats
-    rounds: int
-    from_input: bool
-
-
-def _trained_triangles(
-    context: Context, surface: TrueSurface, weights: dict[str, float], iterations: int
-) -> _Trained:
-    """The initial surface remeshed and trained until it conforms."""
-    from .optimize.conforming import Leg, conform
-    from .surface.geometry import fan_triangles
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
-    from .surface.remesh import remesh
-    from .surface.sizing import for_surface
-    from .surface.topology import topology
-
-    frame = ModelFrame.of(context.arrays("classify"))
-    first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
-    first = first.with_vertices(frame.model_from_input(first.vertices))
-    expected, given = context.source().topology(), topology(first)
-    from_input = expected not in (None, (given.euler_number, given.components))
-    if from_input:
-        # The topology is known and the initial surface misses it; that of the input itself is kept
-        # by everything that follows.
-        first = context.source().manifold()
-        first = first.with_vertices(frame.model_from_input(first.vertices))
-    length = for_surface(surface.samples, surface.normals, context.params.value("edge_length"))
-    start = remesh(*fan_triangles(first)[:2], length, surface)
-    spheres, history, rounds = conform(
-        start, surface, Leg(iterations, weights), context.checkpoints, context.progress,
-        context.threads,
-    )  # fmt: skip
-    return _Trained(spheres, history, rounds, from_input)
-
-
 def _how(context: Context, rounds: int, from_input: bool) -> tuple[dict[str, Any], list[str]]:
     """Metrics and warnings of a training that started from triangles."""
     warnings = []
@@ -191,6 +148,7 @@ def _triangles(context: Context) -> Outcome:
     """Triangle faces: remeshed, trained until they conform, and certified."""
     import numpy as np
 
+    from .optimize.triangles import train_triangles
     from .sources.true_surface import true_surface
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
@@ -198,9 +156,10 @@ def _triangles(context: Context) -> Outcome:
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
     names = ("intersection", "exclusion", "shape", "normal", "smooth", "radius")
-    done = _trained_triangles(
+    done = train_triangles(
         context,
         true_surface(context.source(), frame, context.threads),
+        params.value("edge_length"),
         params.weights(*names),
         int(params.value("iterations")),
     )
@@ -227,6 +186,7 @@ def _polygons(context: Context) -> Outcome:
     import numpy as np
 
     from .optimize.polygons import train_polygons
+    from .optimize.triangles import train_triangles
     from .sources.true_surface import true_surface
     from .surface.dual import dual
     from .surface.model_frame import ModelFrame
@@ -244,7 +204,8 @@ def _polygons(context: Context) -> Outcome:
         names = ("intersection", "exclusion", "shape", "normal")
         weights = {name: plain[f"weight_{name}"] for name in names}
         weights |= params.weights("smooth", "radius")
-        done = _trained_triangles(context, surface, weights, int(plain["iterations"]))
+        edge_length = params.value("edge_length")
+        done = train_triangles(context, surface, edge_length, weights, int(plain["iterations"]))
         mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
         how = done.rounds, done.from_input
     state, history = train_polygons(

@@ -16,7 +16,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 settings.register_profile("tests", deadline=None, max_examples=15, derandomize=True)
 settings.load_profile("tests")
 
-QUICK = ["--init-iterations", "15", "--sphere-train-iterations", "60", "--inner", "20",
+QUICK = ["--init-iterations", "15", "--sphere-train-iterations", "20", "--inner", "20",
          "--cvt-iterations", "5", "--samples", "5000", "--sides", "6",
          "--faces", "triangle"]  # fmt: skip
 Cli = Callable[..., subprocess.CompletedProcess[str]]

@@ -15,9 +15,8 @@ def figures(run: Path, stem: str) -> dict:
 
 def test_bunny_to_lamp(tmp_path: Path, cli: Cli) -> None:
     assert cli("sample", "bunny", cwd=tmp_path).returncode == 0
-    words = ["-n", 14, "--lamp", "--threads", 2, "--init-iterations", 40, "--inner", 100,
-             "--sphere-train-iterations", 200, "--cvt-iterations", 10, "--sides", 6,
-             "--led-diameter", 25]  # fmt: skip
+    words = ["-n", 14, "--lamp", "--threads", 2, "--inner", 100, "--cvt-iterations", 10,
+             "--sides", 6, "--led-diameter", 25]  # fmt: skip
     done = cli("run", "bunny.obj", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = tmp_path / "bunny.vorolight"

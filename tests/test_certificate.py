@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.hdf5 import decode
-from vorolight.stages.optimize.conforming import Spheres
+from vorolight.stages.optimize.spheres import Spheres
+from vorolight.stages.surface.edge_table import Sized
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.voronoi.certificate import Certificate, certify
 
@@ -31,8 +32,9 @@ class Case:
 
 def case_of(vertices: np.ndarray, triangles: np.ndarray, radius: float) -> Case:
     """Equal spheres at the vertices of triangles, and the pairs where they meet."""
-    spheres = Spheres(vertices, np.full(len(vertices), radius), triangles, np.ones(len(vertices)))
-    points, square, _ = spheres.pairs()
+    spheres = Spheres.at(Sized(vertices, triangles, np.ones(len(vertices))))
+    spheres = replace(spheres, radii=np.full(len(vertices), radius))
+    points, square = spheres.generators()
     assert (square > 0).all()
     count = len(triangles)
     return Case(

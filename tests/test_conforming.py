@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from conftest import Cli, random_rotation, sphere_mesh, torus_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.losses import conforming
+from vorolight.stages.optimize.descent import Problem
+from vorolight.stages.optimize.least_squares import Block, GaussNewton
+from vorolight.stages.optimize.polygons import Paired, PairedProblem
+from vorolight.stages.optimize.sphere_problem import SphereProblem
+from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.sources.fields import FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.parity import RayParity
 from vorolight.stages.sources.projection import ClosestPoint, closest_on_triangles
-from vorolight.stages.sources.true_surface import true_surface
+from vorolight.stages.sources.true_surface import TrueSurface, true_surface
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.dual import dual
-from vorolight.stages.surface.edge_table import EdgeTable
+from vorolight.stages.surface.edge_table import EdgeTable, Sized
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.remesh import remesh
+from vorolight.stages.surface.sheets import part
 from vorolight.stages.surface.sizing import LengthField, thickness
 from vorolight.stages.surface.topology import split_pinched, topology
 from vorolight.stages.voronoi.interface import interface
@@ -97,29 +103,82 @@ def test_closest_points_of_a_field(name: str) -> None:
     assert np.linalg.norm(normal, axis=1) == pytest.approx(1)
 
 
-@pytest.mark.parametrize("mesh", [sphere_mesh(3.0, 4), torus_mesh(4.0, 1.5, 90, 20)])
-def test_remeshing_keeps_the_topology_and_evens_the_edges(mesh: tuple) -> None:
-    vertices, triangles = mesh
-    closest = ClosestPoint(vertices, triangles, 0.15)
-    found, faces, length = remesh(
-        vertices, triangles, lambda at: np.full(len(at), 0.6), lambda at, n: closest(at, n)[0]
+def surface_of(path: Path, mesh: tuple, spacing: float = 1.0) -> TrueSurface:
+    return true_surface(
+        MeshSource(write_ply(path, *mesh)), ModelFrame(np.zeros(3), spacing), threads=2
     )
-    before = topology(PolygonMesh.of_triangles(vertices, triangles))
-    after = topology(PolygonMesh.of_triangles(found, faces))
+
+
+@pytest.mark.parametrize("mesh", [sphere_mesh(3.0, 4), torus_mesh(4.0, 1.5, 90, 20)])
+def test_remeshing_keeps_the_topology_and_evens_the_edges(mesh: tuple, tmp_path: Path) -> None:
+    surface = surface_of(tmp_path / "shape.ply", mesh)
+    found = remesh(*mesh, lambda at: np.full(len(at), 0.6), surface)
+    before = topology(PolygonMesh.of_triangles(*mesh))
+    after = topology(PolygonMesh.of_triangles(found.vertices, found.triangles))
     assert (after.closed, after.pinched_vertices) == (True, 0)
     assert after.euler_number == before.euler_number
-    ratio = EdgeTable.of(faces).lengths(found) / length[0]
-    assert np.percentile(ratio, 1) > 0.7
-    assert np.percentile(ratio, 99) < 1.4
-    assert geometry.enclosed_volume(found, faces) == pytest.approx(
-        geometry.enclosed_volume(vertices, triangles), rel=0.04
+    ratio = EdgeTable.of(found.triangles).lengths(found.vertices) / 0.6
+    assert np.percentile(ratio, 1) > 0.65
+    assert np.percentile(ratio, 99) < 1.45
+    # Fitted, not inscribed: the volumes agree much better than edges of 0.6 would inscribe.
+    assert geometry.enclosed_volume(found.vertices, found.triangles) == pytest.approx(
+        geometry.enclosed_volume(*mesh), rel=0.002
     )
 
 
-def test_remeshing_refuses_an_open_surface() -> None:
+def test_remeshing_refuses_an_open_surface(tmp_path: Path) -> None:
     vertices, triangles = sphere_mesh(1.0, 2)
+    surface = surface_of(tmp_path / "ball.ply", (vertices, triangles))
     with pytest.raises(ValueError, match="not closed"):
-        remesh(vertices, triangles[1:], lambda at: np.full(len(at), 0.3), lambda at, n: at)
+        remesh(vertices, triangles[1:], lambda at: np.full(len(at), 0.3), surface)
+
+
+def test_a_chamfered_cube_gets_its_edges_back(tmp_path: Path) -> None:
+    import trimesh
+
+    box = trimesh.creation.box((4.0, 4.0, 4.0))
+    cube = np.asarray(box.vertices, float), np.asarray(box.faces, np.int64)
+    surface = surface_of(tmp_path / "cube.ply", cube)
+    vertices, triangles = sphere_mesh(1.0, 4)
+    rounded = 2 * vertices / (np.abs(vertices) ** 6).sum(axis=1)[:, None] ** (1 / 6)
+    found = remesh(rounded, triangles, lambda at: np.full(len(at), 0.6), surface)
+    edge = np.linspace(-2, 2, 200)
+    edges = np.stack([edge, np.full(200, 2.0), np.full(200, 2.0)], axis=1)
+    edges = np.concatenate([edges, edges[:, [1, 0, 2]], edges[:, [1, 2, 0]]])
+    own = ClosestPoint(found.vertices, found.triangles, 0.0)
+    off = np.linalg.norm(own(edges)[0] - edges, axis=1)
+    assert np.percentile(off, 95) < 0.01  # the rounded start is 0.3 off
+    assert geometry.enclosed_volume(found.vertices, found.triangles) == pytest.approx(64, rel=2e-3)
+
+
+def test_closest_points_are_exact(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    vertices = vertices * [5.0, 1.0, 0.1]  # long, thin triangles
+    random = np.random.default_rng(0)
+    points = random.normal(size=(60, 3)) * [5.0, 1.0, 1.0]
+    found, _ = ClosestPoint(vertices, triangles, 0.15)(points)
+    best = np.full(len(points), np.inf)
+    for corners in vertices[triangles]:
+        there = closest_on_triangles(points, np.broadcast_to(corners, (len(points), 3, 3)))
+        best = np.minimum(best, np.linalg.norm(there - points, axis=1))
+    assert np.linalg.norm(found - points, axis=1) == pytest.approx(best, abs=1e-12)
+
+
+def test_overlapping_bodies_and_thin_walls_are_parted() -> None:
+    vertices, triangles = sphere_mesh(1.0, 3)
+    length = np.full(2 * len(vertices), 0.15)
+    both = np.concatenate([triangles, triangles + len(vertices)])
+    beside = np.concatenate([vertices, vertices + np.array([1.95, 0, 0])])
+    mesh = Sized(beside, both, length)
+    wound = RayParity(mesh.vertices, both).winding(np.array([[0.975, 0, 0]]))
+    assert wound.tolist() == [2]
+    part(mesh, np.ones(len(beside), bool))
+    left = mesh.vertices[: len(vertices), 0].max()
+    right = mesh.vertices[len(vertices) :, 0].min()
+    assert right - left > 0.1
+    flat = Sized(vertices * [1, 1, 0.05], triangles, np.full(len(vertices), 0.15))
+    part(flat, np.ones(len(vertices), bool))
+    assert np.ptp(flat.vertices[np.linalg.norm(vertices[:, :2], axis=1) < 0.3, 2]) > 0.15
 
 
 def test_thickness_of_a_shell_and_of_a_ball() -> None:
@@ -160,41 +219,95 @@ def test_mirrored_generators_make_a_shell_that_its_voxels_cannot(tmp_path: Path)
 def test_pairs_lie_on_the_three_spheres_of_their_face() -> None:
     vertices, triangles = sphere_mesh(1.0, 2)
     radii = 0.28 + 0.02 * np.sin(5 * vertices[:, 0])
-    centres = torch.as_tensor(vertices)
-    pairs = conforming.radical_pairs(centres, torch.as_tensor(radii), torch.as_tensor(triangles))
-    points = pairs.points(torch.zeros(len(triangles), dtype=torch.float64)).numpy()
+    pairs = conforming.radical_pairs(vertices, radii, triangles)
+    points = pairs.points(np.zeros(len(triangles)))
     for side in (points[: len(triangles)], points[len(triangles) :]):
         reach = np.linalg.norm(side[:, None] - vertices[triangles], axis=2)
         assert reach == pytest.approx(radii[triangles], abs=1e-12)
     assert (np.linalg.norm(points[: len(triangles)], axis=1) > 1).all()
 
 
-@pytest.mark.parametrize("term", ["existence", "exclusion", "umbrella", "square"])
-def test_gradients_against_finite_differences(term: str) -> None:
+def slopes(problem: Problem, state: object, residuals: dict, count: int) -> np.ndarray:
+    """Central differences of the residuals by every unknown."""
+    step, columns = 1e-6, []
+    for unknown in range(count):
+        move = np.zeros(count)
+        sides = []
+        for sign in (1, -1):
+            move[unknown] = sign * step
+            parts = problem.residuals(problem.moved(state, move))
+            sides.append(np.concatenate([parts[key] for key in residuals]))
+        columns.append((sides[0] - sides[1]) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def assert_derivatives(problem: Problem, state: object) -> None:
+    problem.prepare(state, 1.0)
+    residuals = problem.residuals(state)
+    count = len(problem.free)
+    blocks = problem.blocks(state, residuals)
+    # Whether or not the terms come in the same order, the gradient and J^T J are the same; rows
+    # that are zero (inactive inequalities) have no part in either.
+    measured = slopes(problem, state, residuals, count)
+    values = np.concatenate([residuals[key] for key in residuals])
+    gradient, square = np.zeros(count), np.zeros((count, count))
+    for block in blocks:
+        jacobian = np.zeros((len(block.residual), count))
+        np.add.at(jacobian, (block.rows, block.columns), block.values)
+        gradient += jacobian.T @ block.residual
+        square += jacobian.T @ jacobian
+    assert gradient == pytest.approx(measured.T @ values, abs=1e-5 * np.abs(gradient).max())
+    assert square == pytest.approx(measured.T @ measured, abs=1e-5 * np.abs(square).max())
+
+
+def test_derivatives_of_spheres_against_finite_differences(tmp_path: Path) -> None:
     vertices, triangles = sphere_mesh(1.0, 1)
+    surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.05, 3))
     random = np.random.default_rng(0)
-    centres = torch.tensor(vertices + 0.02 * random.normal(size=vertices.shape), requires_grad=True)
-    radii = torch.tensor(0.45 + 0.02 * random.random(len(vertices)), requires_grad=True)
-    faces = torch.as_tensor(triangles)
-    table = EdgeTable.of(triangles)
-    ends = torch.as_tensor(table.ends)
-    degree = torch.bincount(ends.reshape(-1)).double()
-    count = len(triangles)
-    near = torch.arange(2 * count), torch.arange(2 * count) % len(vertices)
+    mesh = Sized(vertices + 0.03 * random.normal(size=vertices.shape), triangles, np.ones(42))
+    spheres = Spheres.at(mesh)
+    spheres = replace(
+        spheres, radii=spheres.radii * (0.7 + 0.5 * random.random(42)), hold=random.random(42)
+    )
+    weights = {"intersection": 3.0, "exclusion": 2.0, "shape": 5.0, "normal": 0.3, "smooth": 0.7,
+               "radius": 0.4}  # fmt: skip
+    problem = SphereProblem(spheres, surface, weights, np.ones(42, bool), 1)
+    problem.prepare(spheres, 1.0)
+    residuals = problem.residuals(spheres)
+    assert all((residuals[key] != 0).any() for key in weights)
+    assert (residuals["exclusion"] == 0).any()
+    assert_derivatives(problem, spheres)
 
-    def value(at: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
-        pairs = conforming.radical_pairs(at, size, faces)
-        if term == "square":
-            return pairs.square
-        if term == "existence":
-            return conforming.existence(pairs, torch.full((count,), 0.9, dtype=torch.float64))
-        if term == "umbrella":
-            return conforming.umbrella(at, ends, degree)
-        points = pairs.points(torch.full((count,), 1e-4, dtype=torch.float64))
-        length = torch.full((len(vertices),), 5.0, dtype=torch.float64)
-        return conforming.exclusion(points, at, size, length, *near)
 
-    torch.autograd.gradcheck(value, (centres, radii))
+def test_derivatives_of_polygons_against_finite_differences(tmp_path: Path) -> None:
+    mesh = dual(PolygonMesh.of_triangles(*sphere_mesh(1.0, 1)))
+    surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.05, 3))
+    random = np.random.default_rng(0)
+    mesh = mesh.with_vertices(mesh.vertices + 0.02 * random.normal(size=mesh.vertices.shape))
+    state = Paired.at(mesh)
+    # Off the first offsets, where the inequality begins to count.
+    outer = state.outer + 0.05 * random.normal(size=state.outer.shape)
+    radii = state.radii * (0.9 + 0.3 * random.random(len(state.radii)))
+    state = replace(state, radii=radii, outer=outer)
+    weights = {"intersection": 3.0, "exclusion": 2.0, "shape": 5.0, "smooth": 0.7}
+    problem = PairedProblem(mesh, state, surface, weights, 1)
+    problem.prepare(state, 1.0)
+    # The middles of the faces count as fixed during a step, as do their normals.
+    assert (problem.residuals(state)["exclusion"] != 0).any()
+    assert_derivatives(problem, state)
+
+
+def test_unknowns_that_are_not_free_stay() -> None:
+    columns = np.array([[0, 1], [1, 2], [0, 2]])
+    values = np.array([[1.0, 2.0], [1.0, -1.0], [3.0, 1.0]])
+    block = Block.dense(columns, values, np.array([1.0, 2.0, 3.0]))
+    matrix = np.zeros((3, 3))
+    np.add.at(matrix, (block.rows, block.columns), block.values)
+    step = GaussNewton([block], np.ones(3, bool)).step(0.0)
+    assert matrix @ step == pytest.approx([-1, -2, -3], rel=0.05)
+    held = GaussNewton([block], np.array([True, False, True])).step(0.0)
+    assert held[1] == 0
+    assert (matrix.T @ (matrix @ held + [1, 2, 3]))[[0, 2]] == pytest.approx([0, 0], abs=0.2)
 
 
 @pytest.mark.parametrize("mesh", [sphere_mesh(1.0, 3), torus_mesh(1.0, 0.4, 40, 20)])
@@ -290,7 +403,32 @@ def test_losses_that_an_input_does_not_have(tmp_path: Path, cli: Cli) -> None:
     for words, message in (
         (["--shape-loss", "chamfer"], "add --faces polygon"),
         (["--faces", "polygon", "--shape-loss", "chamfer"], "a field has no target points"),
+        (["--learning-rate", 0.1], "add --preset paper"),
+        (["--preset", "paper", "--edge-length", 0.5], "add --faces triangle"),
     ):
         done = cli("sphere-train", *words, cwd=tmp_path)
         assert done.returncode == 2
         assert message in done.stderr
+
+
+def test_polygons_of_a_torus(tmp_path: Path, cli: Cli) -> None:
+    words = ["-n", 12, "--init-iterations", 3, "--faces", "polygon", "--until", "sphere-train"]
+    done = cli("run", "torus", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = result(tmp_path / "torus.vorolight")
+    assert found["conformity"]["pair_area_share"] > 0.97
+    assert found["conformity"]["pair_faces"] == found["trained_faces"]
+    # The diagram has several slivers a face; the written surface hardly any, and stays closed.
+    assert found["conformity"]["interface_faces"] > 3 * found["trained_faces"]
+    assert found["written_faces"] < 1.1 * found["trained_faces"]
+    assert 0 < found["merged_within"] <= 0.1
+    assert found["as_written"]["closed"]
+    assert (found["topology"]["euler_number"], found["topology"]["components"]) == (0, 1)
+    assert found["pairs"] == {"relabelled": 0, "undecided": 0}
+
+
+def test_many_inner_generators_keep_the_certificate(tmp_path: Path, cli: Cli) -> None:
+    words = ["-n", 6, "--init-iterations", 0, "--until", "volume", "--inner", 400]
+    done = cli("run", "sphere", *words, "--cvt-iterations", 5, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert result(tmp_path / "sphere.vorolight", "volume")["surface_unchanged"]

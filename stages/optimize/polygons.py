@@ -28,18 +28,16 @@ if TYPE_CHECKING:
     from ..contract import Progress
     from ..sources.true_surface import TrueSurface
 
-FIRST_OFFSET = 0.45
-"""``delta_f`` to start from, in roots of the face's area."""
-OFFSET = 0.3
-"""``delta_f`` below which a pair is penalised, in model units."""
-MARGIN = 0.01
-"""Power below which a generator that is not a sphere's own is penalised, in model units."""
+OFFSET = 0.6
+"""``delta_f`` to start from, below which a pair is penalised; in roots of its face's area."""
+MARGIN = 0.05
+"""Power below which a generator that is not a sphere's own is penalised, in faces' areas."""
 CENTRED = 0.02
 """Weight of a pair's middle at the middle of its face."""
 SLACK = 0.15
 """How much further than a sphere's radius is searched, for what moves in a step."""
-LARGEST_STEP = 0.1
-"""Of a centre, radius or generator, in model units."""
+LARGEST_STEP = 0.2
+"""Of a centre, radius or generator, in roots of a face's area."""
 BEFORE = 100_000
 """Checkpoints are numbered from here, behind those of the triangles that it starts from."""
 LEG = 3
@@ -61,7 +59,7 @@ class Paired:
     def at(cls, mesh: PolygonMesh) -> Paired:
         """Pairs across the middles of the faces; radii from the distances to them."""
         area, normal, middle = face_frames(mesh)
-        shift = (FIRST_OFFSET * np.sqrt(area))[:, None] * normal
+        shift = (OFFSET * np.sqrt(area))[:, None] * normal
         outer, inner = middle + shift, middle - shift
         corner, face = mesh.face_vertices, mesh.corner_faces
         total = sum(
@@ -123,13 +121,21 @@ class PairedProblem:
         self.mesh, self.weights, self.threads = mesh, weights, threads
         self.count, self.faces = mesh.vertex_count, mesh.face_count
         self.free = np.ones(4 * self.count + 6 * self.faces, dtype=bool)
+        # Everything is measured by the faces: their roots of area, and the means of these at the
+        # vertices and at the corners of the fans.
+        self.size = np.sqrt(face_frames(mesh)[0])
+        corner, face = mesh.face_vertices, mesh.corner_faces
+        self.reach = np.bincount(corner, self.size[face]) / np.bincount(corner)
         self.laplacian = Laplacian.of(edges(mesh), self.count)
-        self.smoothing = np.full(self.count, np.sqrt(weights["smooth"]))
+        self.smoothing = np.sqrt(weights["smooth"]) / self.reach
+        self.centring = np.sqrt(CENTRED) / self.size
         self.fans, self.triangles = _fans(mesh)
+        size = np.concatenate([self.reach, self.size])
         self.shape: list[tuple[Rows, Floats]] = []
         for way in (forward, backward):
             rows = way(surface, self.fans @ state.centres, self.triangles)
-            self.shape.append((rows, np.sqrt(weights["shape"] * self.count * rows.share)))
+            scale = np.sqrt(weights["shape"] * self.count * rows.share)
+            self.shape.append((rows, scale / size[rows.corners].mean(axis=1)))
 
     def prepare(self, state: Paired, factor: float) -> None:
         points = np.concatenate([state.outer, state.inner])
@@ -137,8 +143,10 @@ class PairedProblem:
         self.near = near_pairs(mesh, points, state.centres, state.radii, SLACK, self.threads)
         _, self.facing, self.middle = face_frames(mesh)
         self.normal = vertex_normals(self.fans @ state.centres, self.triangles)[: self.count]
-        self.intersection = np.sqrt(factor * self.weights["intersection"])
-        self.exclusion = np.sqrt(self.weights["exclusion"])
+        both = np.concatenate([self.mesh.face_vertices] * 2)
+        self.intersection = np.sqrt(factor * self.weights["intersection"]) / self.reach[both] ** 2
+        self.exclusion = np.sqrt(self.weights["exclusion"]) / self.reach[self.near[1]] ** 2
+        self.offset = np.sqrt(self.weights["exclusion"]) / self.size
 
     def residuals(self, state: Paired) -> dict[str, Floats]:
         corner, face = self.mesh.face_vertices, self.mesh.corner_faces
@@ -156,22 +164,23 @@ class PairedProblem:
         middle = 0.5 * (state.outer + state.inner)
         return {
             "intersection": self.intersection * np.concatenate(own),
-            "exclusion": self.exclusion * np.maximum(0.0, MARGIN - power),
-            "offset": self.exclusion * np.maximum(0.0, OFFSET - offset),
+            "exclusion": self.exclusion * np.maximum(0.0, MARGIN * self.reach[sphere] ** 2 - power),
+            "offset": self.offset * np.maximum(0.0, OFFSET * self.size - offset),
             "shape": np.concatenate([scale * rows.distance(fans) for rows, scale in self.shape]),
             "smooth": (self.smoothing[:, None] * bend).reshape(-1),
-            "centred": np.sqrt(CENTRED) * (middle - self.middle).reshape(-1),
+            "centred": (self.centring[:, None] * (middle - self.middle)).reshape(-1),
         }
 
     def moved(self, state: Paired, step: Floats) -> Paired:
         spheres = step[: 4 * self.count].reshape(-1, 4)
         outer, inner = step[4 * self.count :].reshape(2, -1, 3)
+        most, furthest = LARGEST_STEP * self.reach, LARGEST_STEP * self.size
         return replace(
             state,
-            centres=state.centres + limited(spheres[:, :3], LARGEST_STEP),
-            radii=state.radii + np.clip(spheres[:, 3], -LARGEST_STEP, LARGEST_STEP),
-            outer=state.outer + limited(outer, LARGEST_STEP),
-            inner=state.inner + limited(inner, LARGEST_STEP),
+            centres=state.centres + limited(spheres[:, :3], most),
+            radii=state.radii + np.clip(spheres[:, 3], -most, most),
+            outer=state.outer + limited(outer, furthest),
+            inner=state.inner + limited(inner, furthest),
         )
 
     def blocks(self, state: Paired, residuals: dict[str, Floats]) -> list[Block]:
@@ -181,12 +190,16 @@ class PairedProblem:
         columns, values = self._power(
             state, points, np.concatenate([face, self.faces + face]), spheres
         )
-        blocks = [Block.dense(columns, self.intersection * values, residuals["intersection"])]
+        blocks = [
+            Block.dense(columns, self.intersection[:, None] * values, residuals["intersection"])
+        ]
         row = np.flatnonzero(residuals["exclusion"])
         columns, values = self._power(state, points, self.near[0][row], self.near[1][row])
-        blocks.append(Block.dense(columns, -self.exclusion * values, residuals["exclusion"][row]))
+        blocks.append(
+            Block.dense(columns, -self.exclusion[row, None] * values, residuals["exclusion"][row])
+        )
         row = np.flatnonzero(residuals["offset"])
-        values = -0.5 * self.exclusion * self.facing[row]
+        values = -0.5 * self.offset[row, None] * self.facing[row]
         columns = 3 * row[:, None] + np.arange(3)
         columns = 4 * self.count + np.concatenate([columns, columns + 3 * self.faces], axis=1)
         blocks.append(
@@ -197,7 +210,7 @@ class PairedProblem:
             Block(
                 np.concatenate([axis, axis]),
                 4 * self.count + np.arange(6 * self.faces),
-                np.full(6 * self.faces, 0.5 * np.sqrt(CENTRED)),
+                0.5 * np.tile(np.repeat(self.centring, 3), 2),
                 residuals["centred"],
             )
         )

@@ -37,7 +37,7 @@ def row(shape: str, n: int, faces: str, most: int | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         cli("init", shape, "-n", n, "--run", run)
-        edge = 0.6
+        edge = 0.55
         for _ in range(TRIES):
             options = ["--edge-length", edge] if faces == "triangle" else []
             cli("sphere-train", "--faces", faces, *options, "--run", run)
