@@ -54,7 +54,7 @@ class Rows:
     def distance(self, vertices: Floats) -> Floats:
         """Signed distances ``(R,)`` of the samples to their planes."""
         at = np.einsum("rk,rkd->rd", self.weights, vertices[self.corners])
-        return np.einsum("rd,rd->r", at, self.direction) - self.offset
+        return np.asarray(np.einsum("rd,rd->r", at, self.direction) - self.offset)
 
     def gradient(self) -> Floats:
         """Derivatives ``(R, 3, 3)`` of the distances by the vertices ``corners``."""

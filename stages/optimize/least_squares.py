@@ -61,7 +61,8 @@ class GaussNewton:
         jacobian = csr_array((values[used], (rows, number[columns[used]])), shape=shape)
         transpose = jacobian.T.tocsr()
         squares = np.bincount(jacobian.indices, jacobian.data**2, minlength=shape[1])
-        return jacobian, transpose, transpose @ residual[kept], squares
+        gradient = np.asarray(transpose @ residual[kept])
+        return jacobian, transpose, gradient, np.asarray(squares, np.float64)
 
     def step(self, damping: float) -> Floats:
         """The step ``(U,)`` with ``damping`` in units of the mean square of a column."""

@@ -68,6 +68,6 @@ def part(mesh: Sized, where: NDArray[np.bool_]) -> int:
 def _spread(table: EdgeTable, shift: Floats, where: NDArray[np.bool_]) -> Floats:
     """``shift (V,)`` and, beside it, half the mean of the neighbours' shifts."""
     start, end = np.concatenate([table.ends, table.ends[:, ::-1]]).T
-    mean = np.bincount(start, shift[end], minlength=len(shift))
-    mean /= np.maximum(np.bincount(start, minlength=len(shift)), 1)
+    total = np.bincount(start, shift[end], minlength=len(shift))
+    mean = total / np.maximum(np.bincount(start, minlength=len(shift)), 1)
     return np.where((shift == 0) & where, 0.5 * mean, shift)
