@@ -314,10 +314,21 @@ def test_a_running_stage_holds_the_lock(tmp_path: Path, cli: Cli) -> None:
     assert str(os.getpid()) in done.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_killed_in_the_middle_of_training(number: signal.Signals, tmp_path: Path, cli: Cli) -> None:
+# Checkpoints of triangles are numbered from 0, those of polygons from 100000.
+@pytest.mark.parametrize(
+    ("number", "words", "written"),
+    [
+        (signal.SIGKILL, ["--iterations", 120], "0*.h5"),
+        (signal.SIGTERM, ["--iterations", 120], "0*.h5"),
+        (signal.SIGINT, ["--iterations", 120], "0*.h5"),
+        (signal.SIGKILL, ["--iterations", 30, "--faces", "polygon"], "10000[3-9].h5"),
+    ],
+)
+def test_killed_in_the_middle_of_training(
+    number: signal.Signals, words: list[object], written: str, tmp_path: Path, cli: Cli
+) -> None:
     start = ["init", "sphere", "-n", 7, "--iterations", 5, "--threads", 2]
-    words = ["sphere-train", "--iterations", 120, "--threads", 2]
+    words = ["sphere-train", *words, "--threads", 2]
     for folder in ("undisturbed", "killed"):
         (tmp_path / folder).mkdir()
         assert cli(*start, cwd=tmp_path / folder).returncode == 0
@@ -326,14 +337,14 @@ def test_killed_in_the_middle_of_training(number: signal.Signals, tmp_path: Path
     checkpoints = tmp_path / "killed" / "sphere.vorolight" / "checkpoints" / "sphere-train"
     running = subprocess.Popen(command, cwd=tmp_path / "killed", stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
-    while not list(checkpoints.glob("*/0*.h5")) and time.monotonic() < deadline:
+    while not list(checkpoints.glob(f"*/{written}")) and time.monotonic() < deadline:
         time.sleep(0.01)
     running.send_signal(number)
     code = running.wait(timeout=60)
     assert code == (-9 if number == signal.SIGKILL else 128 + number)
     run = tmp_path / "killed" / "sphere.vorolight"
     assert not (run / "sphere-train.json").exists()
-    assert list(checkpoints.glob("*/0*.h5"))
+    assert list(checkpoints.glob(f"*/{written}"))
     done = cli(*words, cwd=tmp_path / "killed")
     assert done.returncode == 0, done.stderr
     first, second = (

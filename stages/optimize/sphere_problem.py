@@ -48,12 +48,11 @@ class SphereProblem:
         free: NDArray[np.bool_],
         threads: int,
     ) -> None:
-        self.spheres = spheres
         self.weights, self.threads = weights, threads
         self.free = np.repeat(free, 4)
         self.count = len(spheres.centres)
         self.margin = np.maximum(MARGIN, 2 * SAFE / spheres.lengths**2)
-        self.length, self.face_length = self.spheres.lengths, self.spheres.face_lengths
+        self.length, self.face_length = spheres.lengths, spheres.face_lengths
         centres, triangles = spheres.centres, spheres.triangles
         if not np.isfinite(centres).all():
             raise NumericalFailure("a surface vertex is not finite: the training diverged")
