@@ -32,7 +32,7 @@ DEFAULTS: dict[str, dict[str, float]] = {
         "weight_normal": 0.0,
     },
     "polygon": {
-        "edge_length": 0.45,
+        "edge_length": 0.55,
         "iterations": 16,
         "weight_intersection": 100.0,
         "weight_exclusion": 30.0,
@@ -61,8 +61,8 @@ class Params(contract.Params):
     """paper: Adam on the initial surface with its losses and weights of 10, 10, 1 and 0.1;
     triangles are then polygons split at their centroids."""
     edge_length: Annotated[float, Range(0.05, 10)] | None = None
-    """Edge length of the triangles, 0.55 h0 by default, shorter where the shape is thin; of those
-    whose vertices become polygons, 0.45."""
+    """Edge length of the triangles, 0.55 h0 by default, shorter where the shape is thin; polygons
+    are made of their vertices."""
     iterations: Annotated[int, Range(0, 1_000_000)] | None = None
     """Gauss-Newton steps, 25 on triangles and 16 on polygons; 800 Adam iterations of the paper."""
     learning_rate: Positive | None = None
