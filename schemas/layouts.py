@@ -55,7 +55,7 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "generators/inside": Layout(("Ft", 3), "f", "inside generator of each trained face"),
         "generators/outside": Layout(("Ft", 3), "f", "outside generator of each trained face"),
         "spacing": Layout(("Ft",), "f", "local spacing at each trained face"),
-        "history": Layout(("I", 4), "f", "intersection, exclusion, shape, normal by iteration"),
+        "history": Layout(("I", 4), "f", "intersection, exclusion, shape, smoothness by step"),
         **_polygons("surface/", "s", "the output: interface of the real diagram"),
         "surface/face_generators": Layout(
             ("Fs", 2), "i", "trained face whose inside, whose outside generator bounds it"

@@ -329,7 +329,11 @@ def _outcome(
                 f"{count - agreement.pair_faces} of {count} trained faces have no face in the "
                 "diagram"
             )
-        merged = f", slivers merged within {found.merged_within:.3f} h0" if merge else ""
+        merged = ""
+        if merge and found.merged_within:
+            merged = f", slivers merged within {found.merged_within:.3f} h0"
+        elif merge:
+            merged = ", its slivers not merged because that would change its topology"
         warnings.append(
             f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
             f"generators is written{merged}, {100 * agreement.pair_area_share:.2f} % of its area "
