@@ -31,6 +31,24 @@ SPECK = 0.1
 """Components that enclose less than this many voxels are removed."""
 
 
+DEFAULTS: dict[str, dict[str, float]] = {
+    "surface": {
+        "learning_rate": 0.01,
+        "weight_shape": 100.0,
+        "weight_normal": 5.0,
+        "weight_area": 0.01,
+    },
+    "voxels": {
+        "learning_rate": 0.02,
+        "weight_shape": 1.0,
+        "weight_normal": 0.1,
+        "weight_area": 0.1,
+    },
+}
+"""What an option that is not given is, by start. Mirrored generators are near the shape already:
+the paper's weights would trade that for even faces."""
+
+
 @dataclass(frozen=True)
 class Params(contract.Params):
     """Options of the init stage."""
@@ -39,20 +57,25 @@ class Params(contract.Params):
     """First generators: mirrored in the true surface, or in the voxels' boundary as the paper."""
     iterations: Annotated[int, Range(0, 100_000)] = 20
     """Adam iterations on the generators; the diagram is computed anew in each."""
-    learning_rate: Positive = 0.02
-    """Adam step, in units of the voxel edge h0."""
-    weight_shape: Positive = 1.0
-    """Weight of the shape loss."""
-    weight_normal: Positive = 0.1
-    """Weight of normal consistency."""
-    weight_area: Positive = 0.1
-    """Weight of area uniformity."""
+    learning_rate: Positive | None = None
+    """Adam step, in units of the voxel edge h0: 0.01, from voxels 0.02."""
+    weight_shape: Positive | None = None
+    """Weight of the shape loss: 100, from voxels 1."""
+    weight_normal: Positive | None = None
+    """Weight of normal consistency: 5, from voxels 0.1."""
+    weight_area: Positive | None = None
+    """Weight of area uniformity: 0.01, from voxels 0.1."""
     weight_centroid: Positive = 0.1
     """Weight of centroid alignment."""
     shape_loss: Literal["distance", "level-set", "chamfer"] = "distance"
     """Distance to the surface, or the paper's: level-set for fields, Chamfer for meshes."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
+
+    def value(self, name: str) -> float:
+        """What was given for ``name``, or its default."""
+        given = getattr(self, name)
+        return float(DEFAULTS[self.start][name] if given is None else given)
 
 
 def run(context: Context) -> Outcome:
@@ -104,8 +127,9 @@ def run(context: Context) -> Outcome:
     history = adam(
         {"generators": generators},
         losses,
-        {key: getattr(params, f"weight_{key}") for key in ("shape", "normal", "area", "centroid")},
-        Schedule(params.iterations, params.learning_rate, "constant", checkpoint_every=20),
+        {key: params.value(f"weight_{key}") for key in ("shape", "normal", "area")}
+        | {"centroid": params.weight_centroid},
+        Schedule(params.iterations, params.value("learning_rate"), "constant", checkpoint_every=20),
         context.checkpoints,
         context.progress,
         "init",
@@ -127,6 +151,11 @@ def run(context: Context) -> Outcome:
             trained, labels, islands, surface, facts = first
             warnings.append("the iterations spoiled the surface's topology and were undone")
     mesh = surface.mesh.with_vertices(frame.input_from_model(surface.mesh.vertices))
+    if len(history) and history[-1, 0] > history[0, 0]:
+        warnings.append(
+            f"the iterations moved the surface away from the shape (loss {history[0, 0]:.3g}, then "
+            f"{history[-1, 0]:.3g}): raise --weight-shape or lower --learning-rate"
+        )
     if islands:
         warnings.append(
             f"{islands} specks smaller than {SPECK:g} voxels were removed from the surface"
@@ -213,7 +242,7 @@ def _first_generators(
 
 STAGE = Stage(
     name="init",
-    version=2,
+    version=3,
     params=Params,
     run=run,
     parents=lambda params: ("classify",),

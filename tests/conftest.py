@@ -12,6 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from vorolight.stages.sources.mesh import MeshSource
+from vorolight.stages.sources.true_surface import TrueSurface, true_surface
+from vorolight.stages.surface.model_frame import ModelFrame
+
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 settings.register_profile("tests", deadline=None, max_examples=15, derandomize=True)
 settings.load_profile("tests")
@@ -56,6 +60,21 @@ def heart_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
 @pytest.fixture
 def manifest(heart_run: Path) -> Callable[[str], dict[str, Any]]:
     return lambda stem: json.loads((heart_run / f"{stem}.json").read_text())
+
+
+def write_ply(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Path:
+    """Write a mesh as it is; the path."""
+    import trimesh
+
+    trimesh.Trimesh(vertices, triangles, process=False).export(path)
+    return path
+
+
+def surface_of(path: Path, mesh: tuple, spacing: float = 1.0) -> TrueSurface:
+    """The true surface of a mesh that is first written to ``path``."""
+    return true_surface(
+        MeshSource(write_ply(path, *mesh)), ModelFrame(np.zeros(3), spacing), threads=2
+    )
 
 
 def sphere_mesh(radius: float = 1.0, level: int = 3) -> tuple[np.ndarray, np.ndarray]:

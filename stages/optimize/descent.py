@@ -71,9 +71,3 @@ def descend(
                 break
             damping *= HARDER
     return state, np.array(losses), damping
-
-
-def limited(steps: Floats, most: Floats | float) -> Floats:
-    """``steps (N, 3)``, none longer than ``most``."""
-    size = np.maximum(np.linalg.norm(steps, axis=1), np.finfo(float).tiny)
-    return np.asarray(steps * np.minimum(1.0, most / size)[:, None])

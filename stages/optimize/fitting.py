@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..surface.edge_table import EdgeTable, Sized
-from ..surface.geometry import triangle_normals, vertex_normals
+from ..surface.geometry import limited, triangle_normals, vertex_normals
 from ..surface.polygons import Floats, Ints
 from .least_squares import Block, GaussNewton
 
@@ -168,6 +168,4 @@ def fit(mesh: Sized, surface: TrueSurface) -> None:
         blocks.append(Block.dense(columns, values, root * rows.distance(mesh.vertices)))
     free = np.ones(3 * len(mesh.vertices), dtype=bool)
     move = GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3)
-    length = np.linalg.norm(move, axis=1, keepdims=True)
-    most = LONGEST_STEP * mesh.length[:, None]
-    mesh.vertices = mesh.vertices + move * np.minimum(1.0, most / np.maximum(length, ON_SURFACE))
+    mesh.vertices = mesh.vertices + limited(move, LONGEST_STEP * mesh.length)

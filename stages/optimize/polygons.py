@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NumericalFailure
-from ..surface.geometry import face_frames, vertex_normals
+from ..surface.geometry import face_frames, limited, vertex_normals
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.spheres import near_pairs
 from ..surface.topology import edges
-from .descent import DAMPING, TERMS, descend, limited
+from .descent import DAMPING, TERMS, descend
 from .fitting import Rows, backward, forward
 from .laplacian import Laplacian
 from .least_squares import Block

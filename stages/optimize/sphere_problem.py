@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from ..errors import NumericalFailure
 from ..losses import conforming
 from ..surface.edge_table import EdgeTable
-from ..surface.geometry import vertex_normals
+from ..surface.geometry import limited, vertex_normals
 from ..surface.polygons import Floats, PolygonMesh
 from ..surface.spheres import near_pairs
-from .descent import limited
 from .fitting import Rows, backward, forward
 from .laplacian import Laplacian
 from .least_squares import Block

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surface.geometry import limited
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats
 from .fields import FieldSource
@@ -24,6 +25,10 @@ BESIDE = 1e-3
 """In units of h0: how far from a surface point is asked which side is inside."""
 NEWTON_STEPS, NEWTON_REACH = 4, 0.5
 """Rounds of the projection onto a field's zero set, and the longest step in units of h0."""
+SLIDE = 0.7
+"""Share of the way along the zero set towards a point that is made in a round."""
+AT_REST = 1e-7
+"""Movement in a round below which a projection is done, in units of h0."""
 
 
 class TrueSurface(Protocol):
@@ -90,23 +95,30 @@ class FieldSurface:
 
     def closest(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
         """By steps along the gradient onto the zero set and, on it, towards the point."""
-        at = points.copy()
-        slope = np.zeros_like(at)
-        for _ in range(NEWTON_STEPS):
-            for _ in range(2):
-                value, slope = self.source.gradient(self.frame.input_from_model(at))
-                steepness = np.linalg.norm(slope, axis=1)
-                step = value / np.maximum(steepness, np.finfo(float).tiny) / self.frame.spacing
-                at = at - np.clip(step, -NEWTON_REACH, NEWTON_REACH)[:, None] * _unit(slope)
-            normal = _unit(slope)
-            way = points - at
-            along = way - np.einsum("ij,ij->i", way, normal)[:, None] * normal
-            size = np.linalg.norm(along, axis=1, keepdims=True)
-            at = at + along * np.minimum(1.0, NEWTON_REACH / np.maximum(size, 1e-300)) * 0.7
-        value, slope = self.source.gradient(self.frame.input_from_model(at))
+        foot, outward = points.copy(), np.zeros_like(points)
+        left = np.arange(len(points))
+        for last in [False] * NEWTON_STEPS + [True]:
+            before = at = foot[left]
+            for _ in range(1 if last else 2):
+                at, normal = self._nearer(at)
+            outward[left] = normal
+            if not last:
+                way = points[left] - at
+                along = way - np.einsum("ij,ij->i", way, normal)[:, None] * normal
+                at = at + limited(SLIDE * along, SLIDE * NEWTON_REACH)
+            foot[left] = at
+            left = left[np.linalg.norm(at - before, axis=1) > AT_REST]
+            if len(left) == 0:
+                break
+        return foot, outward
+
+    def _nearer(self, points: Floats) -> tuple[Floats, Floats]:
+        """A Newton step from ``points (N, 3)`` onto the zero set, and the unit gradients before."""
+        value, slope = self.source.gradient(self.frame.input_from_model(points))
         steepness = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
         step = np.clip(value / steepness / self.frame.spacing, -NEWTON_REACH, NEWTON_REACH)
-        return at - step[:, None] * _unit(slope), _unit(slope)
+        normal = slope / steepness[:, None]
+        return points - step[:, None] * normal, normal
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
         return self.source.inside(self.frame.input_from_model(points))

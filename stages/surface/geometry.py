@@ -114,3 +114,9 @@ def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
         )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 0, length, 1)
+
+
+def limited(vectors: Floats, most: Floats | float) -> Floats:
+    """``vectors (N, 3)``, none longer than ``most``."""
+    size = np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)
+    return np.asarray(vectors * np.minimum(1.0, most / size)[:, None])

@@ -22,7 +22,8 @@ FINER = 0.75
 ALONE = 0.7
 """Share of its distance within which no other piece of surface may be to a mirror image."""
 JITTER = 1e-3
-"""Standard deviation, in cell edges, that takes cell centres off their lattice."""
+"""Standard deviation that takes cell centres off their lattice, in cell edges, and mirror images
+off their plane, in distances to it."""
 FAR = 60
 """Generators far outside that bound the diagram."""
 
@@ -60,6 +61,9 @@ def mirrored(
     offset, fits = _fitted(surface, foot, direction, distance[pair], within)
     shift = offset[fits, None] * direction[fits]
     here, there, label = foot[fits] + shift, foot[fits] - shift, within[fits]
+    # Any two pairs mirrored in one plane lie on a circle, and three on a sphere: a tetrahedron of
+    # two pairs would be flat, its circumcentre a matter of rounding.
+    there += JITTER * offset[fits, None] * random.standard_normal(there.shape)
     fill = places[deep]
     far = _far_away(places)
     generators = np.concatenate([here, there, fill, far])
