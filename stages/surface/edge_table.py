@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .polygons import Floats, Ints
 
@@ -30,7 +31,7 @@ class EdgeTable:
         span = int(triangles.max()) + 1 if count else 1
         key = np.minimum(start, end) * span + np.maximum(start, end)
         # Within an edge the half-edge that goes up comes first.
-        order = np.argsort(2 * key + (start > end), kind="stable").reshape(-1)
+        order = np.argsort(2 * key + (start > end)).reshape(-1)
         if len(order) % 2:
             raise ValueError("the surface is not closed")
         first, second = order[0::2], order[1::2]
@@ -43,6 +44,10 @@ class EdgeTable:
             np.stack([first // 3, second // 3], 1),
             np.stack([third[first], third[second]], 1),
         )
+
+    def rows(self, chosen: NDArray[np.bool_]) -> EdgeTable:
+        """The edges ``chosen (E,)``."""
+        return EdgeTable(self.ends[chosen], self.triangles[chosen], self.opposite[chosen])
 
     def lengths(self, vertices: Floats) -> Floats:
         return np.asarray(

@@ -116,16 +116,21 @@ def contract_short(
 def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
     """Flip edges with a positive ``gain`` where no triangle turns over; the number of flips."""
     done = 0
+    count = len(mesh.vertices)
+    active = np.ones(count, dtype=bool)
     for _ in range(passes):
         table = EdgeTable.of(mesh.triangles)
-        count = len(mesh.vertices)
+        existing = np.sort(table.ends, axis=1) @ np.array([count, 1])
+        # What a flip is worth changes only with what happens at its four corners.
+        table = table.rows(active[table.ends].any(axis=1) | active[table.opposite].any(axis=1))
         value = gain(mesh, table)
         valence = np.bincount(mesh.triangles.reshape(-1), minlength=count)
         wanted = (value > 0) & (valence[table.ends] > 3).all(axis=1)
-        existing = np.sort(table.ends, axis=1) @ np.array([count, 1])
-        new_key = np.sort(table.opposite, axis=1) @ np.array([count, 1])
-        wanted &= ~np.isin(new_key, existing) & (table.opposite[:, 0] != table.opposite[:, 1])
+        wanted &= table.opposite[:, 0] != table.opposite[:, 1]
         candidate = np.flatnonzero(wanted)
+        new_key = np.sort(table.opposite[candidate], axis=1) @ np.array([count, 1])
+        place = np.searchsorted(existing, new_key) % len(existing)  # the edges are in that order
+        candidate = candidate[existing[place] != new_key]
         candidate = candidate[_may_flip(mesh, table, candidate)]
         if len(candidate) == 0:
             break
@@ -135,6 +140,7 @@ def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
         claim = np.full(count, len(candidate))
         np.minimum.at(claim, quad.reshape(-1), np.repeat(rank, 4))
         chosen = candidate[(claim[quad] == rank[:, None]).all(axis=1)]
+        active = claim < len(candidate)
         done += len(chosen)
         a, b = table.ends[chosen].T
         c, d = table.opposite[chosen].T
@@ -174,14 +180,12 @@ def unfolding_gain(mesh: Sized, table: EdgeTable) -> Floats:
 
 def fold_cosines(mesh: Sized, table: EdgeTable) -> tuple[Floats, Floats]:
     """Cosines between the normals of the two triangles of each edge, now and after its flip."""
-    normal, _ = triangle_normals(mesh.vertices, mesh.triangles)
-    before = np.einsum("ij,ij->i", *(normal[table.triangles[:, k]] for k in range(2)))
     (a, b), (c, d) = table.ends.T, table.opposite.T
-    left, right = (
-        triangle_normals(mesh.vertices, np.stack(corners, 1))[0]
-        for corners in ((a, d, c), (b, c, d))
+    before, after = (
+        [triangle_normals(mesh.vertices, np.stack(corners, 1))[0] for corners in pair]
+        for pair in (((a, b, c), (b, a, d)), ((a, d, c), (b, c, d)))
     )
-    return np.asarray(before), np.einsum("ij,ij->i", left, right)
+    return np.einsum("ij,ij->i", *before), np.einsum("ij,ij->i", *after)
 
 
 def _ranks(priority: Floats) -> Ints:
