@@ -68,7 +68,7 @@ MESHES ?= $(wildcard *.ply)
 TABLE_FACES ?= triangle
 table: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
-		$(if $(PEER),--peer $(PEER)) $(if $(wildcard $(MESHES)/*.ply),$(wildcard $(MESHES)/*.ply),$(MESHES))
+		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
 
 # Lint, and type-check the package as the wheel installs it.
 check: $(VENV)/tested-with

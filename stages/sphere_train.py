@@ -291,7 +291,7 @@ def _labelled(
             f"{pairs.undecided} generator pairs lie on one side of the trained surface and were "
             "labelled by their face's orientation"
         )
-    facts = {"relabelled": pairs.relabelled, "undecided": pairs.undecided}
+    facts = {key: getattr(pairs, key) for key in ("relabelled", "replaced", "undecided")}
     return _outcome(
         context, frame, trained, radii, offsets, pairs.inside, pairs.outside,
         np.ones(trained.face_count), history, {**metrics, "pairs": facts}, warnings,
@@ -387,7 +387,7 @@ def _outcome(
 
 STAGE = Stage(
     name="sphere-train",
-    version=3,
+    version=4,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

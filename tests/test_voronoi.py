@@ -172,7 +172,20 @@ def test_pairs_are_labelled_by_the_inside_not_by_the_normal() -> None:
     pairs = label_pairs(mesh, ahead, behind)
     assert np.array_equal(pairs.inside, inside)
     assert np.array_equal(pairs.outside, outside)
-    assert (pairs.relabelled, pairs.undecided) == (1, 0)
+    assert (pairs.relabelled, pairs.replaced, pairs.undecided) == (1, 0, 0)
+
+
+def test_a_pair_on_one_side_is_set_across_its_face() -> None:
+    mesh, inside, outside = sphere_pairs(1, 0.45)
+    off = inside.copy()
+    # Beyond all others: the interface of these labels would have a face without end.
+    off[7] = 2.0 * outside[7]
+    with pytest.raises(NumericalFailure, match="unbounded"):
+        interface(np.concatenate([off, outside]), np.arange(2 * len(off)) < len(off))
+    pairs = label_pairs(mesh, outside, off)
+    assert (pairs.relabelled, pairs.replaced, pairs.undecided) == (0, 1, 0)
+    assert np.linalg.norm(pairs.inside[7]) < 1 < np.linalg.norm(pairs.outside[7])
+    interface(np.concatenate([pairs.inside, pairs.outside]), np.arange(2 * len(off)) < len(off))
 
 
 def test_specks_are_removed() -> None:

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..sources.parity import RayParity
-from ..surface.geometry import fan_triangles
+from ..surface.geometry import face_frames, fan_triangles
 from ..surface.polygons import Floats, PolygonMesh
+
+CLOSER = 6
+"""How often a pair on one side of the surface is set across it, each time half as far apart."""
 
 
 @dataclass(frozen=True)
@@ -19,23 +22,42 @@ class Pairs:
     outside: Floats
     relabelled: int
     """Pairs whose face normal pointed inward."""
+    replaced: int
+    """Pairs with both points on one side of the surface, set across their face's centroid."""
     undecided: int
-    """Pairs with both points on one side of the surface; the face's orientation decided."""
+    """Pairs for which that failed; the face's orientation decided."""
 
 
 def label_pairs(trained: PolygonMesh, ahead: Floats, behind: Floats) -> Pairs:
     """Which of ``ahead (F, 3)`` (along the normal) and ``behind`` is inside the closed surface.
 
     A few trained faces are folded over and their normals point inward: one such pair labelled by
-    its normal tears large false faces into the interface.
+    its normal tears large false faces into the interface. Of a pair on one side one generator may
+    even lie beyond all others, and the interface would have no end there.
     """
     vertices, triangles, _ = fan_triangles(trained)
     rays = RayParity(vertices, triangles)
+    ahead, behind = ahead.copy(), behind.copy()
     ahead_inside, behind_inside = rays.inside(ahead), rays.inside(behind)
+    left = astray = np.flatnonzero(ahead_inside == behind_inside)
+    _, normal, centroid = face_frames(trained)
+    reach = 0.5 * np.linalg.norm(ahead - behind, axis=1)[:, None] * normal
+    for _ in range(CLOSER):
+        if len(left) == 0:
+            break
+        places = centroid[left] + reach[left], centroid[left] - reach[left]
+        first, second = (rays.inside(at) for at in places)
+        good = first != second
+        row = left[good]
+        ahead[row], behind[row] = (at[good] for at in places)
+        ahead_inside[row], behind_inside[row] = first[good], second[good]
+        left = left[~good]
+        reach *= 0.5
     swap = (ahead_inside & ~behind_inside)[:, None]
     return Pairs(
         inside=np.where(swap, ahead, behind),
         outside=np.where(swap, behind, ahead),
         relabelled=int(swap.sum()),
-        undecided=int((ahead_inside == behind_inside).sum()),
+        replaced=len(astray) - len(left),
+        undecided=len(left),
     )
