@@ -21,7 +21,6 @@ from .contract import Context, Params, Stage, options
 from .errors import ArtifactError, BackendMissing, InputError, UsageError
 from .sources.resolve import Identity, identify
 from .standing import (
-    BACKEND,
     Session,
     State,
     check_same_input,
@@ -137,8 +136,11 @@ def _run(
         random=partial(randomness.generator, session.seed, stage.name),
     )
     wall, cpu = time.perf_counter(), time.process_time()
+    from .voronoi.delaunay import backend
+
     try:
-        outcome = stage.run(context)
+        with backend(session.backend) as used:
+            outcome = stage.run(context)
     finally:
         session.progress.finish()
     from .artifacts.hdf5 import encode
@@ -184,14 +186,14 @@ def _run(
         "params": params.as_json(),
         "seed": session.seed,
         "device": session.device,
-        "backend": BACKEND,
+        "backend": session.backend,
         "inputs": inputs,
         "parents": parents,
         "outputs": outputs,
         "fingerprint": now.fingerprint,
         "frame": outcome.frame or _frame(session.folder),
         "metrics": metrics,
-        "warnings": outcome.warnings,
+        "warnings": outcome.warnings + [said for said in [used.warning()] if said],
         "volatile": {
             "mtime_ns": times,
             "wall_seconds": round(time.perf_counter() - wall, 3),
@@ -243,6 +245,7 @@ def command_line(session: Session, stage: Stage, params: Params, source: Identit
             words += [option.flag, str(value)]
     words += ["--seed", str(session.seed)] if session.seed else []
     words += ["--device", session.device] if session.device != "cpu" else []
+    words += ["--backend", session.backend] if session.backend != "scipy" else []
     return shlex.join(words)
 
 

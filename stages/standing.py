@@ -15,7 +15,8 @@ from .errors import ArtifactError
 from .sources.resolve import Identity, identify
 
 ORDER = ("classify", "init", "sphere-train", "volume", "evaluate", "fabricate")
-BACKEND = "scipy"
+SETTINGS = ("seed", "device", "backend")
+"""What of a session decides on a result."""
 
 
 def get(name: str) -> Stage:
@@ -41,6 +42,7 @@ class Session:
     seed: int = 0
     threads: int = field(default_factory=available_threads)
     device: str = "cpu"
+    backend: str = "scipy"
     force: bool = False
     touch: bool = False
     verify: bool = False
@@ -125,11 +127,10 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
         stem = stage.stem_of(stage.params())
         stored = session.folder.manifest(stem)
         params = stage.params(**_known(stage, stored["params"])) if stored else stage.params()
-        seed = int(stored["seed"]) if stored else session.seed
-        device = str(stored["device"]) if stored else session.device
+        settings = {key: stored[key] if stored else getattr(session, key) for key in SETTINGS}
     else:
         stored = session.folder.manifest(stage.stem_of(params))
-        seed, device = session.seed, session.device
+        settings = {key: getattr(session, key) for key in SETTINGS}
     parents = [state(session, parent) for parent in stage.parents(params)]
     source = (session.input or recorded_input(session.folder)) if takes_input(stage) else None
     extra = {
@@ -140,9 +141,7 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
         "stage": stage.name,
         "version": stage.version,
         "params": params.as_json(),
-        "seed": seed,
-        "device": device,
-        "backend": BACKEND,
+        **settings,
         "inputs": {
             role: [item.kind, item.name if item.path is None else None, item.sha256]
             for role, item in ([("input", source)] if source else []) + list(extra.items())
@@ -157,7 +156,7 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
             break
     if reason is None:
         reason = _difference(
-            session, stage, params, (seed, device), stored, source, extra, parents, digest
+            session, stage, params, settings, stored, source, extra, parents, digest
         )
     return State(stage, params, digest, reason, stored)
 
@@ -175,7 +174,7 @@ def _difference(
     session: Session,
     stage: Stage,
     params: Params,
-    seed_device: tuple[int, str],
+    settings: dict[str, Any],
     stored: manifest.Manifest | None,
     source: Identity | None,
     extra: dict[str, Identity],
@@ -198,8 +197,7 @@ def _difference(
         for parent in parents:
             if stored["parents"].get(parent.stage.name) != parent.fingerprint:
                 return f"{parent.stage.name} changed"
-        seed, device = seed_device
-        for key, value in (("seed", seed), ("device", device), ("backend", BACKEND)):
+        for key, value in settings.items():
             if stored[key] != value:
                 return f"{key} {stored[key]} -> {value}"
         return f"the stage's code is another version ({stored['stage_code_version']})"

@@ -175,6 +175,22 @@ def test_stages_one_by_one_from_a_mesh_file(tmp_path: Path, cli: Cli) -> None:
     assert "ball.obj changed" in done.stderr
 
 
+def test_backends_give_the_same_surface(tmp_path: Path, cli: Cli) -> None:
+    words = ["init", "heart", "-n", 8, "--iterations", 5, "--quiet"]
+    for name in ("scipy", "shull"):
+        done = cli(*words, "--backend", name, "--run", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert json.loads((tmp_path / name / "init.json").read_text())["backend"] == name
+    files = [(tmp_path / name / "init.ply").read_bytes() for name in ("scipy", "shull")]
+    assert files[0] == files[1]
+    done = cli("init", "--backend", "cgal", "--run", "scipy", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "must be scipy or shull" in done.stderr
+    # The result of another backend is another result.
+    done = cli("init", "--iterations", 5, "--run", "shull", "--dry-run", cwd=tmp_path)
+    assert "backend shull -> scipy" in done.stdout + done.stderr
+
+
 def test_config_file_and_precedence(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "a.toml").write_text("[classify]\nn_init = 7\n[init]\niterations = 3\n")
     done = cli("init", "sphere", "--config", "a.toml", "--iterations", 2, "--json", cwd=tmp_path)

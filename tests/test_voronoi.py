@@ -13,10 +13,11 @@ from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.topology import topology
+from vorolight.stages.voronoi import shull_child
 from vorolight.stages.voronoi.cells import cell_centroids, open_cells, polyhedral_mesh
 from vorolight.stages.voronoi.cleanup import clean
 from vorolight.stages.voronoi.conformity import conformity
-from vorolight.stages.voronoi.delaunay import delaunay
+from vorolight.stages.voronoi.delaunay import BACKENDS, Tetrahedra, backend, by_shull, delaunay
 from vorolight.stages.voronoi.interface import interface, without_islands
 from vorolight.stages.voronoi.interior import Guard, lloyd_step, sample
 from vorolight.stages.voronoi.pairs import label_pairs
@@ -100,7 +101,47 @@ def test_voronoi_vertices_gradient_against_finite_differences() -> None:
     assert np.allclose(ours, circumcentres(points.detach().numpy(), tetrahedra.numpy())[0])
 
 
-def test_what_qhull_cannot_be_given_is_refused() -> None:
+@given(st.integers(0, 10**6))
+def test_every_backend_gives_the_same_bits(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    points = random.normal(size=(int(random.integers(6, 200)), 3))
+    expected = delaunay(points)
+    assert (np.diff(expected.corners, axis=1) > 0).all()
+    for name in BACKENDS:
+        with backend(name) as used:
+            found = delaunay(points)
+        assert np.array_equal(found.corners, expected.corners)
+        assert np.array_equal(found.neighbours, expected.neighbours)
+        assert (used.diagrams, used.warning()) == (1, None)
+
+
+def test_a_backend_that_fails_is_stood_in_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(points: np.ndarray) -> Tetrahedra:
+        raise RuntimeError("internal corruption")
+
+    monkeypatch.setitem(BACKENDS, "shull", fails)
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    with backend("shull") as used:
+        found = delaunay(points)
+    assert np.array_equal(found.corners, delaunay(points).corners)
+    assert used.warning() == (
+        "--backend shull failed in 1 of 1 diagrams (internal corruption); scipy did those"
+    )
+
+
+def test_shull_says_what_it_cannot_do_and_survives_its_death() -> None:
+    with pytest.raises(RuntimeError, match="shull"):
+        by_shull(np.zeros((8, 3)))
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    before = by_shull(points).corners
+    shull_child._CHILD[0].kill()
+    shull_child._CHILD[0].wait()
+    with pytest.raises(RuntimeError, match="ended"):
+        by_shull(points)
+    assert np.array_equal(by_shull(points).corners, before)
+
+
+def test_what_no_backend_can_be_given_is_refused() -> None:
     points, _ = ball(0, 50)
     with pytest.raises(NumericalFailure, match="coincide"):
         delaunay(np.concatenate([points, points[:1]]))

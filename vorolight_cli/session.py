@@ -31,6 +31,9 @@ Seed = Annotated[
 ]
 Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
 Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
+Backend = Annotated[
+    str, typer.Option(help="Delaunay library [scipy|shull]; shull comes with vorolight[fast].")
+]
 Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
 Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]
@@ -62,6 +65,7 @@ def common_options(
     seed: Seed = None,
     threads: Threads = None,
     device: Device = "cpu",
+    backend: Backend = "scipy",
     force: Force = False,
     dry_run: DryRun = False,
     touch: Touch = False,
@@ -74,9 +78,12 @@ def common_options(
 ) -> Common:
     """What every stage command can be told, besides the stage's own options."""
     from vorolight.stages.sources.resolve import identify
+    from vorolight.stages.voronoi.delaunay import BACKENDS
 
     if device not in ("cpu", "cuda"):
         raise UsageError(f"--device {device}: must be cpu or cuda")
+    if backend not in BACKENDS:
+        raise UsageError(f"--backend {backend}: must be {' or '.join(BACKENDS)}")
     console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
     identity = None if input is None else identify(input)
     session = standing.Session(
@@ -85,6 +92,7 @@ def common_options(
         seed=seed or 0,
         threads=threads or standing.available_threads(),
         device=device,
+        backend=backend,
         force=force,
         touch=touch,
         verify=verify,

@@ -80,7 +80,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         active = np.flatnonzero(valence > step)
         walked[starts[active] + step] = state[active]
         state[active] = following[state[active]]
-    if not np.array_equal(state, origin) or len(np.unique(walked >> 1)) < len(walked):
+    if not np.array_equal(state, origin) or (np.bincount(walked >> 1) > 1).any():
         raise NumericalFailure("the Delaunay tetrahedra do not close around an edge")
 
     # The turning sense about first -> second, from the volumes: scipy does not orient tetrahedra.

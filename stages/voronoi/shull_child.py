@@ -1,0 +1,89 @@
+"""Delaunay tetrahedra by shull. It is under the GPL: this module alone names it, and only the child
+process that it becomes imports it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+HEADER = 8
+"""Bytes of a count; -1 where a message follows."""
+
+_CHILD: list[subprocess.Popen[bytes]] = []
+
+
+def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Corners and neighbours ``(T, 4)`` of the tetrahedra of ``points (N, 3)``; the child stays for
+    the next call. Raises RuntimeError when shull fails or dies."""
+    if not _CHILD:
+        command = [sys.executable, "-m", __name__]
+        _CHILD.append(
+            subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            )
+        )
+    child = _CHILD[0]
+    assert child.stdin is not None
+    assert child.stdout is not None
+    try:
+        _send(child.stdin, len(points), np.ascontiguousarray(points, dtype=np.float64))
+        count = _count(child.stdout)
+        if count < 0:
+            raise RuntimeError(_read(child.stdout, _count(child.stdout)).decode())
+        corners, neighbours = (
+            np.frombuffer(_read(child.stdout, 16 * count), np.int32).reshape(-1, 4) for _ in "cn"
+        )
+    except (EOFError, OSError) as error:
+        _CHILD.clear()
+        child.kill()
+        raise RuntimeError(f"shull ended with {child.wait()}") from error
+    return corners.astype(np.int64), neighbours.astype(np.int64)
+
+
+def _send(pipe: IO[bytes], count: int, *parts: NDArray[np.generic]) -> None:
+    pipe.write(count.to_bytes(HEADER, "little", signed=True))
+    for part in parts:
+        pipe.write(memoryview(part).cast("B"))
+    pipe.flush()
+
+
+def _count(pipe: IO[bytes]) -> int:
+    return int.from_bytes(_read(pipe, HEADER), "little", signed=True)
+
+
+def _read(pipe: IO[bytes], size: int) -> bytes:
+    """Raises EOFError when the other side ends first."""
+    found = pipe.read(size)
+    if len(found) < size:
+        raise EOFError
+    return found
+
+
+def _serve() -> None:
+    """Answer sets of points until the pipe is closed."""
+    import shull
+
+    into, out = sys.stdin.buffer, sys.stdout.buffer
+    while True:
+        try:
+            points = np.frombuffer(_read(into, 24 * _count(into))).reshape(-1, 3)
+        except EOFError:
+            return
+        try:
+            found = shull.Delaunay(points)
+            parts = [np.ascontiguousarray(a, np.int32) for a in (found.simplices, found.neighbors)]
+        # A panic of the Rust code derives from BaseException.
+        except BaseException as error:
+            text = np.frombuffer(f"shull: {error}".encode(), np.uint8)
+            out.write((-1).to_bytes(HEADER, "little", signed=True))
+            _send(out, len(text), text)
+        else:
+            _send(out, len(parts[0]), *parts)
+
+
+if __name__ == "__main__":
+    _serve()
