@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench table check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-stages table check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -60,8 +60,14 @@ test: $(VENV)/tested-with
 test-all: $(VENV)/tested-with
 	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -m ''
 
-bench: $(VENV)/installed
+bench: $(VENV)/tested-with
 	$(BIN)/python tests/benchmarks/interface.py
+
+# Time, memory and their growth, stage by stage.
+RESOLUTIONS ?= 25 50
+BACKEND ?= scipy
+bench-stages: $(INPUT) $(VENV)/installed
+	$(BIN)/python tests/benchmarks/stages.py $(INPUT) -n $(RESOLUTIONS) --faces $(TABLE_FACES) --backend $(BACKEND)
 
 # Certificate, distances and smoothness of shapes, beside another method's.
 MESHES ?= $(wildcard *.ply)

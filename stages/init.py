@@ -92,7 +92,7 @@ def run(context: Context) -> Outcome:
     from .surface.model_frame import ModelFrame
     from .surface.topology import topology
     from .voronoi.cleanup import clean
-    from .voronoi.delaunay import delaunay
+    from .voronoi.delaunay import in_passing
     from .voronoi.interface import interface, without_islands
     from .voronoi.rings import ring_mesh, select_interface, voronoi_rings
     from .voronoi.vertices import voronoi_vertices
@@ -111,7 +111,7 @@ def run(context: Context) -> Outcome:
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:
         here = generators.detach().cpu().numpy()
-        diagram = delaunay(here)
+        diagram = in_passing(here)
         mesh, used = ring_mesh(voronoi_rings(here, diagram, select_interface(inside)))
         corners = torch.as_tensor(diagram.corners[used], device=context.device)
         vertices = voronoi_vertices(generators, corners)

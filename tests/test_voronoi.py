@@ -17,7 +17,14 @@ from vorolight.stages.voronoi import shull_child
 from vorolight.stages.voronoi.cells import cell_centroids, open_cells, polyhedral_mesh
 from vorolight.stages.voronoi.cleanup import clean
 from vorolight.stages.voronoi.conformity import conformity
-from vorolight.stages.voronoi.delaunay import BACKENDS, Tetrahedra, backend, by_shull, delaunay
+from vorolight.stages.voronoi.delaunay import (
+    BACKENDS,
+    Tetrahedra,
+    backend,
+    by_shull,
+    delaunay,
+    in_passing,
+)
 from vorolight.stages.voronoi.interface import interface, without_islands
 from vorolight.stages.voronoi.interior import Guard, lloyd_step, sample
 from vorolight.stages.voronoi.pairs import label_pairs
@@ -109,7 +116,7 @@ def test_every_backend_gives_the_same_bits(seed: int) -> None:
     assert (np.diff(expected.corners, axis=1) > 0).all()
     for name in BACKENDS:
         with backend(name) as used:
-            found = delaunay(points)
+            found = in_passing(points)
         assert np.array_equal(found.corners, expected.corners)
         assert np.array_equal(found.neighbours, expected.neighbours)
         assert (used.diagrams, used.warning()) == (1, None)
@@ -122,7 +129,7 @@ def test_a_backend_that_fails_is_stood_in_for(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(BACKENDS, "shull", fails)
     points = np.random.default_rng(0).normal(size=(50, 3))
     with backend("shull") as used:
-        found = delaunay(points)
+        found = in_passing(points)
     assert np.array_equal(found.corners, delaunay(points).corners)
     assert used.warning() == (
         "--backend shull failed in 1 of 1 diagrams (internal corruption); scipy did those"
@@ -139,6 +146,17 @@ def test_shull_says_what_it_cannot_do_and_survives_its_death() -> None:
     with pytest.raises(RuntimeError, match="ended"):
         by_shull(points)
     assert np.array_equal(by_shull(points).corners, before)
+
+
+def test_tetrahedra_that_overlap_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    found = by_shull(points)
+    # One of them stretched over others.
+    wrong = found.corners.copy()
+    wrong[0, 0] = np.setdiff1d(np.arange(50), wrong[0])[0]
+    monkeypatch.setattr(shull_child, "tetrahedra", lambda _: (wrong, found.neighbours))
+    with pytest.raises(RuntimeError, match="overlap"):
+        by_shull(points)
 
 
 def test_what_no_backend_can_be_given_is_refused() -> None:

@@ -31,9 +31,7 @@ Seed = Annotated[
 ]
 Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
 Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
-Backend = Annotated[
-    str, typer.Option(help="Delaunay library [scipy|shull]; shull comes with vorolight[fast].")
-]
+Backend = Annotated[str, typer.Option(help="Delaunay library within iterations [scipy|shull].")]
 Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
 Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]

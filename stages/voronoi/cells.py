@@ -11,7 +11,7 @@ from ..surface.edits import contract_short_edges, reduce_rings
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from .cleanup import settle
-from .delaunay import Tetrahedra, delaunay
+from .delaunay import Tetrahedra, in_passing
 from .interface import rings_to_surface
 from .rings import Selection, voronoi_rings
 from .vertices import FLAT
@@ -33,7 +33,7 @@ def cell_centroids(generators: Floats, count: int) -> tuple[Floats, Floats]:
     Each cell is the pyramids from its generator to its faces. Raises NumericalFailure when one of
     these cells is unbounded.
     """
-    diagram = delaunay(generators)
+    diagram = in_passing(generators)
     rings = voronoi_rings(generators, diagram, _touching(count))
     area, _, centre = face_frames(rings_to_surface(generators, diagram, rings).mesh)
     pair = rings.generators

@@ -1,7 +1,7 @@
 """Delaunay tetrahedra of the generators, by one of several backends.
 
-scipy (Qhull) is the default and the reference. Another one is chosen for a run; where it fails,
-scipy does that diagram, and it is counted.
+scipy (Qhull) is the reference: what is written comes from it. Another one may be chosen for the
+diagrams within iterations; where it fails, scipy does that diagram, and it is counted.
 """
 
 from __future__ import annotations
@@ -32,6 +32,11 @@ class Tetrahedra:
     neighbours: Ints
 
 
+OVERLAP = 1e-9
+"""Part of the hull's volume that tetrahedra may be counted too much: rounding is far below."""
+PACKED = 2_000_000
+"""Points below which three indices fit into one 64-bit key."""
+
 Backend = Callable[[Floats], Tetrahedra]
 """The tetrahedra of points ``(N, 3)``, finite and at least five; raises RuntimeError when it cannot
 say. Points that are no corner of any are left out."""
@@ -49,10 +54,20 @@ def by_scipy(generators: Floats) -> Tetrahedra:
 
 
 def by_shull(generators: Floats) -> Tetrahedra:
-    """shull's, computed in a child process. Raises BackendMissing when it is not installed."""
+    """shull's, computed in a child process. Raises RuntimeError when they do not fill the convex
+    hull: on degenerate points shull 0.4 may leave some overlapping."""
+    from scipy.spatial import ConvexHull
+
     from .shull_child import tetrahedra
 
-    return Tetrahedra(*tetrahedra(generators))
+    corners, neighbours = tetrahedra(generators)
+    base = generators[corners[:, 0]]
+    a, b, c = (generators[corners[:, k]] - base for k in (1, 2, 3))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    whole = ConvexHull(generators).volume
+    if abs(np.abs(volume).sum() - whole) > OVERLAP * whole:
+        raise RuntimeError("tetrahedra overlap")
+    return Tetrahedra(corners, neighbours)
 
 
 BACKENDS: dict[str, Backend] = {"scipy": by_scipy, "shull": by_shull}
@@ -98,26 +113,32 @@ def backend(name: str) -> Iterator[Use]:
 
 
 def delaunay(generators: Floats) -> Tetrahedra:
-    """The Delaunay tetrahedra of ``generators (N, 3)``, by the backend in use, in an order of its
-    own.
+    """The Delaunay tetrahedra of ``generators (N, 3)`` by scipy, in an order of their own.
 
-    Raises NumericalFailure for what no backend can be trusted with: fewer than five points, values
+    Raises NumericalFailure for what Qhull cannot be trusted with: fewer than five points, values
     that are not finite, two generators at one place.
     """
+    return _checked(generators, by_scipy)
+
+
+def in_passing(generators: Floats) -> Tetrahedra:
+    """As ``delaunay``, by the backend in use: for what is computed many times and not written."""
+    use = _USED.get() or Use()
+    use.diagrams += 1
+    if use.name != "scipy":
+        try:
+            return _checked(generators, BACKENDS[use.name])
+        except RuntimeError as error:
+            use.failures.append(str(error))
+    return delaunay(generators)
+
+
+def _checked(generators: Floats, method: Backend) -> Tetrahedra:
     if len(generators) < 5:
         raise NumericalFailure(f"{len(generators)} generators are too few for a Voronoi diagram")
     if not np.isfinite(generators).all():
         raise NumericalFailure("a generator is not finite: the optimisation diverged")
-    use = _USED.get() or Use()
-    use.diagrams += 1
-    result = None
-    if use.name != "scipy":
-        try:
-            result = BACKENDS[use.name](generators)
-        except RuntimeError as error:
-            use.failures.append(str(error))
-    if result is None:
-        result = by_scipy(generators)
+    result = method(generators)
     present = np.zeros(len(generators), dtype=bool)
     present[result.corners] = True
     # Backends leave out what coincides.
@@ -130,8 +151,16 @@ def _in_order(found: Tetrahedra, count: int) -> Tetrahedra:
     """Corners ascending and tetrahedra sorted by them, so that all backends give the same bits."""
     place = np.argsort(found.corners, axis=1)
     corners = np.take_along_axis(found.corners, place, axis=1)
-    order = np.lexsort((corners[:, 2:] @ [count, 1], corners[:, :2] @ [count, 1]))
+    if count < PACKED:
+        # Two tetrahedra at the most share their first three corners.
+        key = (corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2]
+        order = np.argsort(key)
+        twin = np.flatnonzero(np.diff(key[order]) == 0)
+        twin = twin[corners[order[twin], 3] > corners[order[twin + 1], 3]]
+        order[twin], order[twin + 1] = order[twin + 1], order[twin]
+    else:
+        order = np.lexsort(corners.T[::-1])
     number = np.empty(len(order) + 1, dtype=np.int64)
     number[order], number[-1] = np.arange(len(order)), -1
-    neighbours = number[np.take_along_axis(found.neighbours, place, axis=1)]
-    return Tetrahedra(corners[order], neighbours[order])
+    neighbours = np.take_along_axis(found.neighbours, place, axis=1)[order]
+    return Tetrahedra(corners[order], number[neighbours])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .cells import cell_centroids
-from .delaunay import Floats, Ints, delaunay
+from .delaunay import Floats, Ints, in_passing
 from .interface import VoronoiSurface
 from .rings import EDGES
 from .vertices import FLAT
@@ -56,7 +56,7 @@ class Guard:
 
     def touching_outside(self, points: Floats) -> Ints:
         """Indices of ``points`` whose cell has a face with an outside cell in the full diagram."""
-        diagram = delaunay(np.concatenate([points, self.generators]))
+        diagram = in_passing(np.concatenate([points, self.generators]))
         outside = np.concatenate([np.zeros(len(points), bool), ~self.inside])
         ends = diagram.corners[:, EDGES].reshape(-1, 2)
         ends = np.concatenate([ends, ends[:, ::-1]])

@@ -18,6 +18,10 @@ OPPOSITE = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
 EDGE_OF = np.full((4, 4), -1)
 EDGE_OF[EDGES[:, 0], EDGES[:, 1]] = EDGE_OF[EDGES[:, 1], EDGES[:, 0]] = np.arange(6)
 
+THIN = 1e-6
+"""Six volumes of a tetrahedron over the cube of an edge, below which its turning sense is not
+relied on."""
+
 Selection = Callable[[Ints, Ints], NDArray[np.int8]]
 
 
@@ -83,26 +87,36 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     if not np.array_equal(state, origin) or (np.bincount(walked >> 1) > 1).any():
         raise NumericalFailure("the Delaunay tetrahedra do not close around an edge")
 
-    # The turning sense about first -> second, from the volumes: scipy does not orient tetrahedra.
-    at, turned = walked >> 1, walked & 1
-    base = generators[first[at]]
-    ahead, left, right = (
-        generators[which] - base
-        for which in (
-            second[at],
-            corners[tet[at], OPPOSITE[edge[at], 0]],
-            corners[tet[at], OPPOSITE[edge[at], 1]],
+    def wedges(walk: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+        """Six times the volumes that states turn by about first -> second (tetrahedra come without
+        orientation), and which of them say nothing."""
+        at, turned = walk >> 1, walk & 1
+        base = generators[first[at]]
+        ahead, left, right = (
+            generators[which] - base
+            for which in (
+                second[at],
+                corners[tet[at], OPPOSITE[edge[at], 0]],
+                corners[tet[at], OPPOSITE[edge[at], 1]],
+            )
         )
-    )
-    volume = np.einsum("ij,ij->i", ahead, np.cross(left, right)) * np.where(turned == 0, 1.0, -1.0)
-    clockwise = np.add.reduceat(volume, starts) < 0
+        volume = np.einsum("ij,ij->i", ahead, np.cross(left, right))
+        flat = np.abs(volume) < THIN * np.einsum("ij,ij->i", ahead, ahead) ** 1.5
+        return np.where(turned == 0, volume, -volume), flat
+
+    # One wedge tells the sense of a ring; where it is flat all are asked.
+    sense, unsure = wedges(walked[starts])
+    ring = np.repeat(np.arange(len(starts)), valence)
+    asked = unsure[ring]
+    total = np.bincount(ring[asked], wedges(walked[asked])[0], minlength=len(starts))
+    clockwise = np.where(unsure, total, sense) < 0
     offsets = np.append(starts, len(order)).astype(np.int64)
-    ring = tet[at]
-    within = np.arange(len(ring)) - np.repeat(starts, valence)
-    mirrored = np.repeat(starts + valence - 1, valence) - within
-    ring = np.where(np.repeat(clockwise, valence), ring[mirrored], ring)
+    around = tet[walked >> 1]
+    within = np.arange(len(around)) - starts[ring]
+    mirrored = (starts + valence - 1)[ring] - within
+    around = np.where(clockwise[ring], around[mirrored], around)
     pairs = np.stack([first[order[starts]], second[order[starts]]], axis=1)
-    return Rings(pairs, offsets, ring)
+    return Rings(pairs, offsets, around)
 
 
 def select_interface(inside: NDArray[np.bool_]) -> Selection:

@@ -1,22 +1,23 @@
-"""Diagram and interface faces, against scipy.spatial.Voronoi and a selection of its ridges.
+"""Diagram and interface faces by each backend, against scipy.spatial.Voronoi and against Voro++.
 
-Run with ``make bench``. Both ways run in turn in this process; the ratio is what counts.
+Run with ``make bench``. All run in turn in this process, rounds interleaved; the ratios are what
+counts. Voro++ (pyvoro2, one thread), the engine family of the paper, finds every cell with its
+faces; as with scipy.spatial.Voronoi the faces between the labels are then picked.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import platform
 import time
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
 import numpy as np
+from results import write
 
+from vorolight.stages.voronoi.delaunay import backend, in_passing
 from vorolight.stages.voronoi.interface import interface
-
-RESULTS = Path(__file__).parent / "results" / "interface.json"
 
 
 def pairs_on_a_sphere(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -30,8 +31,15 @@ def pairs_on_a_sphere(count: int) -> tuple[np.ndarray, np.ndarray]:
     return generators, np.arange(count) < count // 2
 
 
-def ours(generators: np.ndarray, inside: np.ndarray) -> int:
-    return interface(generators, inside).mesh.face_count
+def by_backend(name: str) -> Callable[[np.ndarray, np.ndarray], int]:
+    def run(generators: np.ndarray, inside: np.ndarray) -> int:
+        with backend(name) as used:
+            count = interface(generators, inside, in_passing(generators)).mesh.face_count
+        if used.failures:
+            raise SystemExit(used.failures[0])
+        return count
+
+    return run
 
 
 def scipys(generators: np.ndarray, inside: np.ndarray) -> int:
@@ -42,10 +50,25 @@ def scipys(generators: np.ndarray, inside: np.ndarray) -> int:
     return len([diagram.ridge_vertices[i] for i in np.flatnonzero(mixed)])
 
 
-def seconds(run: Callable[..., int], *arguments: np.ndarray) -> tuple[float, int]:
-    start = time.perf_counter()
-    found = run(*arguments)
-    return time.perf_counter() - start, found
+def voros(generators: np.ndarray, inside: np.ndarray) -> int:
+    import pyvoro2
+
+    low, high = generators.min(axis=0) - 1.0, generators.max(axis=0) + 1.0
+    box = pyvoro2.Box(tuple(zip(low, high, strict=True)))
+    faces = 0
+    for cell in pyvoro2.compute(generators, domain=box, output="cells"):
+        if inside[cell["id"]]:
+            beyond = [face["adjacent_cell"] for face in cell["faces"]]
+            faces += sum(1 for other in beyond if not inside[other])
+    return faces
+
+
+ENGINES = {
+    "scipy": by_backend("scipy"),
+    "shull": by_backend("shull"),
+    "scipy.spatial.Voronoi": scipys,
+    "Voro++ (pyvoro2)": voros,
+}
 
 
 def main() -> None:
@@ -53,27 +76,30 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=[5_000, 20_000, 100_000])
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
+    by_backend("shull")(*pairs_on_a_sphere(100))  # the child process starts
     rows = []
     for count in arguments.counts:
         shape = pairs_on_a_sphere(count)
-        timed = [(seconds(ours, *shape), seconds(scipys, *shape)) for _ in range(arguments.rounds)]
-        faces = {found for both in timed for _, found in both}
-        if len(faces) != 1:
-            raise SystemExit(f"{count}: the two disagree on the number of faces: {faces}")
-        ratio = float(np.median([theirs[0] / mine[0] for mine, theirs in timed]))
-        rows.append(
-            {
-                "generators": count,
-                "faces": faces.pop(),
-                "ours_s": min(mine[0] for mine, _ in timed),
-                "scipy_voronoi_s": min(theirs[0] for _, theirs in timed),
-                "speed_over_scipy_voronoi": ratio,
+        seconds: dict[str, list[float]] = {name: [] for name in ENGINES}
+        faces = {}
+        for _ in range(arguments.rounds):
+            for name, engine in ENGINES.items():
+                start = time.perf_counter()
+                faces[name] = engine(*shape)
+                seconds[name].append(time.perf_counter() - start)
+        # Voro++ drops faces below a tolerance.
+        if len({faces[name] for name in list(ENGINES)[:3]}) != 1:
+            raise SystemExit(f"{count}: the engines disagree on the number of faces: {faces}")
+        row: dict[str, Any] = {"generators": count, "faces": faces["scipy"], "seconds": {}}
+        row["seconds"] = {name: round(float(np.median(all_)), 3) for name, all_ in seconds.items()}
+        for mine in ("scipy", "shull"):
+            row[f"speed_of_{mine}_over"] = {
+                name: round(row["seconds"][name] / row["seconds"][mine], 2)
+                for name in list(ENGINES)[2:]
             }
-        )
-        print(json.dumps(rows[-1]))
-    machine = {"machine": platform.machine(), "python": platform.python_version()}
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps({"machine": machine, "rows": rows}, indent=2) + "\n")
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    write("interface", rows)
 
 
 if __name__ == "__main__":
