@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args, get_origin
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .artifacts.hdf5 import Arrays
     from .artifacts.run_folder import RunFolder
     from .sources.protocol import Source
+    from .sources.true_surface import TrueSurface
 
 
 @dataclass(frozen=True)
@@ -212,6 +213,14 @@ class Context:
     checkpoints: Checkpoints
     random: Callable[..., np.random.Generator]
     """``random(purpose, counter)``: counter-based randomness of this stage."""
+
+    @cached_property
+    def surface(self) -> TrueSurface:
+        """The input's true surface in model units."""
+        from .sources.true_surface import true_surface
+        from .surface.model_frame import ModelFrame
+
+        return true_surface(self.source(), ModelFrame.of(self.arrays("classify")), self.threads)
 
     def arrays(self, stage: str) -> Arrays:
         """The arrays that an earlier stage wrote."""

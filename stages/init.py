@@ -202,7 +202,6 @@ def _first_generators(
     Euler number and components if they are known."""
     import numpy as np
 
-    from .sources.true_surface import true_surface
     from .surface.topology import topology
     from .voronoi.cleanup import clean
     from .voronoi.interface import interface, without_islands
@@ -219,10 +218,11 @@ def _first_generators(
             start.shape
         )
         return frame.model_from_input(start), inside, 0, expected
-    surface = true_surface(source, frame, context.threads)
     best: tuple[int, Floats, NDArray[np.bool_], int] | None = None
     for levels in range(LEVELS + 1):
-        start, inside = mirrored(surface, grid.interior, levels, context.random("jitter", levels))
+        start, inside = mirrored(
+            context.surface, grid.interior, levels, context.random("jitter", levels)
+        )
         start, inside, _ = without_islands(start, inside, smallest=SPECK)
         raw = interface(start, inside)
         kept = np.zeros(len(start), dtype=bool)

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ def execute(session: Session, name: str, params: Params) -> Result:
         opened = source.open()  # a bad input is refused before anything is written
         sources: Callable[[], Any] = lambda: opened  # noqa: E731
     else:
-        sources = partial(_open_recorded, session.folder, source)
+        sources = cache(partial(_open_recorded, session.folder, source))
     created = [p for p in (session.folder.path, *session.folder.path.parents) if not p.exists()]
     atomic.make_folder(session.folder.path)
     try:

@@ -149,7 +149,6 @@ def _triangles(context: Context) -> Outcome:
     import numpy as np
 
     from .optimize.triangles import train_triangles
-    from .sources.true_surface import true_surface
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
 
@@ -158,7 +157,6 @@ def _triangles(context: Context) -> Outcome:
     names = ("intersection", "exclusion", "shape", "normal", "smooth", "radius")
     done = train_triangles(
         context,
-        true_surface(context.source(), frame, context.threads),
         params.value("edge_length"),
         params.weights(*names),
         int(params.value("iterations")),
@@ -187,14 +185,12 @@ def _polygons(context: Context) -> Outcome:
 
     from .optimize.polygons import train_polygons
     from .optimize.triangles import train_triangles
-    from .sources.true_surface import true_surface
     from .surface.dual import dual
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
 
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
-    surface = true_surface(context.source(), frame, context.threads)
     found = context.checkpoints.latest()
     if found is not None and "polygon/vertices" in found[1]:
         mesh = PolygonMesh.from_arrays(found[1], "polygon/")
@@ -205,12 +201,12 @@ def _polygons(context: Context) -> Outcome:
         weights = {name: plain[f"weight_{name}"] for name in names}
         weights |= params.weights("smooth", "radius")
         edge_length = params.value("edge_length")
-        done = train_triangles(context, surface, edge_length, weights, int(plain["iterations"]))
+        done = train_triangles(context, edge_length, weights, int(plain["iterations"]))
         mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
         how = done.rounds, done.from_input
     state, history = train_polygons(
         mesh,
-        surface,
+        context.surface,
         int(params.value("iterations")),
         params.weights("intersection", "exclusion", "shape", "smooth"),
         context.checkpoints,

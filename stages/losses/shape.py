@@ -48,9 +48,7 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss:
     if kind == "level-set":
         raise UsageError("--shape-loss level-set: a mesh has no level set; use chamfer")
     if kind == "distance":
-        from ..sources.true_surface import true_surface
-
-        return Distance(true_surface(source, frame, context.threads))
+        return Distance(context.surface)
     target = source.surface_samples(params.target_samples, context.random("target"))
     return Chamfer(frame.model_from_input(target), context.threads)
 

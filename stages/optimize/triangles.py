@@ -17,7 +17,6 @@ from .spheres import Spheres
 
 if TYPE_CHECKING:
     from ..contract import Context
-    from ..sources.true_surface import TrueSurface
 
 
 @dataclass(frozen=True)
@@ -33,14 +32,13 @@ class Trained:
 
 def train_triangles(
     context: Context,
-    surface: TrueSurface,
     edge_length: float,
     weights: Mapping[str, float],
     iterations: int,
 ) -> Trained:
     """The surface of stage init, or the input's if that has not its topology, remeshed with edges
     of ``edge_length`` h0 and trained by ``iterations`` steps and as many repairs as it needs."""
-    frame = ModelFrame.of(context.arrays("classify"))
+    frame, surface = ModelFrame.of(context.arrays("classify")), context.surface
     first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
     expected, given = context.source().topology(), topology(first)
     from_input = expected not in (None, (given.euler_number, given.components))
