@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-stages table check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-stages side-by-side table check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -75,6 +75,11 @@ TABLE_FACES ?= triangle
 table: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
 		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Initial surface, the paper's training, triangles and polygons, for the eye.
+OUTPUT ?= build/pictures
+side-by-side: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/pictures.py $(MESHES) -n $(N) --output $(OUTPUT)
 
 # Lint, and type-check the package as the wheel installs it.
 check: $(VENV)/tested-with

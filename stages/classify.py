@@ -63,4 +63,4 @@ def run(context: Context) -> Outcome:
     )
 
 
-STAGE = Stage(name="classify", version=1, params=Params, run=run)
+STAGE = Stage(name="classify", version=2, params=Params, run=run)

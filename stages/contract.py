@@ -184,6 +184,8 @@ class Progress(Protocol):
 
     def finish(self) -> None: ...
 
+    def note(self, text: str) -> None: ...
+
 
 class Silent:
     """Progress that goes nowhere."""
@@ -195,6 +197,9 @@ class Silent:
         pass
 
     def finish(self) -> None:
+        pass
+
+    def note(self, text: str) -> None:
         pass
 
 
@@ -260,6 +265,8 @@ class Stage:
     """Whether the input itself, beyond what the parents hold, decides its result."""
     stem: Callable[[Any], str] | None = None
     """File name of its artifacts when it is not the stage's name."""
+    memory: Callable[[Context], float] | None = None
+    """The peak memory that it will need, in MB; None where that does not grow with the shape."""
     extra_inputs: Callable[[Any], dict[str, str]] = lambda params: {}
     """Further inputs it reads, by role: files or names of built-in fields."""
 

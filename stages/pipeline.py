@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import shutil
 import socket
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 
 from vorolight import schemas
 
+from . import memory
 from .artifacts import atomic, fingerprint, lock, manifest, randomness
 from .artifacts.run_folder import RunFolder
 from .contract import Context, Params, Stage, options
@@ -135,6 +135,10 @@ def _run(
         checkpoints=checkpoints,
         random=partial(randomness.generator, session.seed, stage.name),
     )
+    if stage.memory is not None:
+        needed = stage.memory(context)
+        session.progress.note(f"{stage.name}: about {needed / 1000:.1f} GB of memory")
+        memory.require(stage.name, needed, session.max_memory_mb)
     wall, cpu = time.perf_counter(), time.process_time()
     from .voronoi.delaunay import backend
 
@@ -198,7 +202,7 @@ def _run(
             "mtime_ns": times,
             "wall_seconds": round(time.perf_counter() - wall, 3),
             "cpu_seconds": round(time.process_time() - cpu, 3),
-            "peak_memory_mb": peak_memory_mb(),
+            "peak_memory_mb": memory.peak_mb(),
             "threads": session.threads,
             "host": socket.gethostname(),
             "versions": _versions(),
@@ -270,13 +274,3 @@ def _versions() -> dict[str, str]:
     for name in ("numpy", "scipy", "torch", "trimesh", "manifold3d", "libigl", "h5py"):
         found[name] = metadata.version(name)
     return found
-
-
-def peak_memory_mb() -> float | None:
-    """Peak resident memory of this process so far, in MB; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (1024**2 if sys.platform == "darwin" else 1024), 1)

@@ -43,6 +43,8 @@ class Session:
     threads: int = field(default_factory=available_threads)
     device: str = "cpu"
     backend: str = "scipy"
+    max_memory_mb: float | None = None
+    """What a stage may be estimated to need; None for what is free."""
     force: bool = False
     touch: bool = False
     verify: bool = False

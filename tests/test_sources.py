@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import random_rotation, sphere_mesh, torus_mesh
+from conftest import random_rotation, sphere_mesh, torus_mesh, write_ply
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -185,3 +185,19 @@ def test_formats_of_trimesh_are_read(tmp_path: Path) -> None:
         source = MeshSource(path)
         assert source.open_edges == 0
         assert source.inside(np.array([[0.0, 0, 0], [1.5, 0, 0]])).tolist() == [True, False]
+
+
+def test_cells_without_surface_are_in_or_out(tmp_path: Path) -> None:
+    vertices, triangles = torus_mesh(1.0, 0.4, 24, 12)
+    source = MeshSource(write_ply(tmp_path / "torus.ply", vertices, triangles))
+    origin, edge, shape = np.array([-1.6, -1.5, -0.6]), 0.09, (35, 34, 13)
+    crossed = source.may_cross(origin, edge, shape)
+    index = np.argwhere(~crossed)
+    random = np.random.default_rng(0)
+    samples = [source.inside(origin + edge * (index + random.random(index.shape))) for _ in "12345"]
+    assert all(np.array_equal(samples[0], sample) for sample in samples)
+    # Both kinds are there, and not too much is taken for crossed.
+    assert 0 < samples[0].sum() < len(index)
+    assert crossed.mean() < 0.6
+    opened = MeshSource(write_ply(tmp_path / "open.ply", vertices, triangles[1:]))
+    assert opened.may_cross(origin, edge, shape).all()

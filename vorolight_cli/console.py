@@ -50,6 +50,11 @@ class Console:
         if self.verbosity > 0 and not self.as_json:
             print(text, flush=True)
 
+    def note(self, text: str) -> None:
+        """A line on stderr, unless ``-q`` was given."""
+        if self.verbosity > 0:
+            print(text, file=self.stream, flush=True)
+
     def warn(self, text: str) -> None:
         print(f"warning: {text}", file=self.stream, flush=True)
 

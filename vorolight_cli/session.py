@@ -32,6 +32,15 @@ Seed = Annotated[
 Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
 Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
 Backend = Annotated[str, typer.Option(help="Delaunay library within iterations [scipy|shull].")]
+MaxMemory = Annotated[
+    float | None,
+    typer.Option(
+        help="GB that a stage may need; more is refused. Default: what is free.",
+        min=0.01,
+        max=1e6,
+        show_default=False,
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
 Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]
@@ -64,6 +73,7 @@ def common_options(
     threads: Threads = None,
     device: Device = "cpu",
     backend: Backend = "scipy",
+    max_memory: MaxMemory = None,
     force: Force = False,
     dry_run: DryRun = False,
     touch: Touch = False,
@@ -91,6 +101,7 @@ def common_options(
         threads=threads or standing.available_threads(),
         device=device,
         backend=backend,
+        max_memory_mb=None if max_memory is None else 1000 * max_memory,
         force=force,
         touch=touch,
         verify=verify,

@@ -105,6 +105,10 @@ class FieldSource:
     def inside(self, points: Floats) -> NDArray[np.bool_]:
         return self.value(points) < 0
 
+    def may_cross(self, origin: Floats, edge: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """All: of a field nothing is known between its samples."""
+        return np.ones(shape, dtype=bool)
+
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         """Crossings of random lines with the surface.
 

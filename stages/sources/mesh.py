@@ -61,6 +61,25 @@ class MeshSource:
         votes = np.sum([rays.inside(points) for rays in self._rays], axis=0)
         return np.asarray(votes * 2 > len(self._rays))
 
+    def may_cross(self, origin: Floats, edge: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """The cells that meet the box of a triangle; all if the mesh is open, as the inside then
+        ends anywhere."""
+        if self.open_edges:
+            return np.ones(shape, dtype=bool)
+        corners = (self.vertices[self.triangles] - origin) / edge
+        low, high = (np.floor(end(axis=1)).astype(np.int64) for end in (corners.min, corners.max))
+        # A cell's width more on every side: rounding must not lose one.
+        first, last = np.maximum(low - 1, 0), np.minimum(high + 2, shape)
+        count = np.zeros(np.add(shape, 1), dtype=np.int64)
+        whole = (first < last).all(axis=1)
+        # Corners of the boxes, with signs, add up to how many boxes a cell is in.
+        for corner in np.ndindex(2, 2, 2):
+            at = np.where(np.array(corner, dtype=bool), last[whole], first[whole])
+            np.add.at(count, tuple(at.T), (-1) ** sum(corner))
+        for axis in range(3):
+            np.cumsum(count, axis=axis, out=count)
+        return np.asarray(count[:-1, :-1, :-1] > 0)
+
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         return geometry.sample_triangles(self.vertices, self.triangles, count, random)[0]
 

@@ -33,6 +33,10 @@ class Source(Protocol):
         """Whether each of ``points (N, 3)`` is inside."""
         ...
 
+    def may_cross(self, origin: Floats, edge: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """The cells of a grid, ``shape``, that may be inside in part; all others are in or out."""
+        ...
+
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         """``count`` points on the surface, uniform by area, ``(count, 3)``."""
         ...

@@ -43,10 +43,12 @@ def _interior(
     random: Callable[[int], np.random.Generator],
     tick: Callable[[], None],
 ) -> NDArray[np.bool_]:
-    """Voxels with any of ROUNDS random samples inside; found ones are not asked again."""
+    """Voxels with any of ROUNDS random samples inside; found ones are not asked again, and ones
+    without any surface in them only once."""
     interior = np.zeros(shape, dtype=bool).reshape(-1)
+    unsure = source.may_cross(origin, spacing, shape).reshape(-1)
     for number in range(ROUNDS):
-        left = np.flatnonzero(~interior)
+        left = np.flatnonzero(~interior & (unsure if number else True))
         stream = random(number)
         for start in range(0, len(left), VOXELS_AT_ONCE):
             part = left[start : start + VOXELS_AT_ONCE]

@@ -1,0 +1,50 @@
+"""The memory a stage will need, the memory there is, and a refusal before either runs out."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from .errors import UsageError
+
+CONTROL_GROUP = Path("/sys/fs/cgroup")
+"""Where Linux says what a container may use."""
+
+
+def free_mb() -> float:
+    """Memory that this process may still take, in MB: the machine's or its container's."""
+    import psutil
+
+    free = float(psutil.virtual_memory().available)
+    try:
+        most, used = (
+            float((CONTROL_GROUP / name).read_text()) for name in ("memory.max", "memory.current")
+        )
+    except (OSError, ValueError):  # no such limit
+        most, used = free, 0.0
+    return min(free, max(0.0, most - used)) / 1e6
+
+
+def require(stage: str, needed_mb: float, most_mb: float | None) -> None:
+    """Raises UsageError when ``needed_mb`` is more than ``most_mb``, or than there is (None)."""
+    limit = free_mb() if most_mb is None else most_mb
+    if needed_mb <= limit:
+        return
+    have = (
+        f"{limit / 1000:.1f} GB are free: use another machine, or take the risk with --max-memory"
+        if most_mb is None
+        else f"--max-memory is {limit / 1000:.1f}: raise it"
+    )
+    raise UsageError(
+        f"{stage}: needs about {needed_mb / 1000:.1f} GB of memory and {have}, or lower -n"
+    )
+
+
+def peak_mb() -> float | None:
+    """Peak resident memory of this process so far, in MB; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak / (1024**2 if sys.platform == "darwin" else 1024), 1)
