@@ -15,6 +15,9 @@ from ..surface.topology import bad_edges, edges, split_pinched, topology
 from .mesh_file import load
 from .parity import RayParity
 
+ROUNDING = 1e-6
+"""In cells."""
+
 
 class MeshSource:
     """A surface mesh from a file; opens it once and keeps it as it is."""
@@ -67,9 +70,10 @@ class MeshSource:
         if self.open_edges:
             return np.ones(shape, dtype=bool)
         corners = (self.vertices[self.triangles] - origin) / edge
-        low, high = (np.floor(end(axis=1)).astype(np.int64) for end in (corners.min, corners.max))
-        # A cell's width more on every side: rounding must not lose one.
-        first, last = np.maximum(low - 1, 0), np.minimum(high + 2, shape)
+        # A little more on every side: rounding must not lose a cell.
+        low, high = corners.min(axis=1) - ROUNDING, corners.max(axis=1) + ROUNDING
+        first = np.maximum(np.floor(low).astype(np.int64), 0)
+        last = np.minimum(np.floor(high).astype(np.int64) + 1, shape)
         count = np.zeros(np.add(shape, 1), dtype=np.int64)
         whole = (first < last).all(axis=1)
         # Corners of the boxes, with signs, add up to how many boxes a cell is in.
