@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-stages side-by-side table check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-stages side-by-side table check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -75,6 +75,10 @@ TABLE_FACES ?= triangle
 table: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
 		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Loss against iterations, by several optimisers of the first surface.
+bench-init: $(INPUT) $(VENV)/installed
+	$(BIN)/python tests/benchmarks/first_surface.py $(INPUT) -n $(N)
 
 # Initial surface, the paper's training, triangles and polygons, for the eye.
 OUTPUT ?= build/pictures

@@ -16,6 +16,7 @@ from typing import Annotated
 
 from . import contract
 from .contract import Context, Outcome, Range, Short, Stage
+from .memory import peak
 
 
 @dataclass(frozen=True)
@@ -63,4 +64,10 @@ def run(context: Context) -> Outcome:
     )
 
 
-STAGE = Stage(name="classify", version=2, params=Params, run=run)
+STAGE = Stage(
+    name="classify",
+    version=2,
+    params=Params,
+    run=run,
+    memory=lambda context: peak(120.0, 150.0, 0.35, float(context.params.n_init) ** 3),
+)

@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
+from .memory import peak
 
 if TYPE_CHECKING:
     import numpy as np
+    import torch
     from numpy.typing import NDArray
 
+    from .losses.shape import ShapeLoss
     from .sources.voxels import VoxelGrid
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats
@@ -27,6 +30,8 @@ JITTER = 1e-3
 """Standard deviation of what is added to the paper's first generators, in voxels."""
 LEVELS = 3
 """How often voxels are divided where the shape is thin, until the topology is the input's."""
+PATIENCE = 10
+"""Iterations without gain after which the rest is left."""
 SPECK = 0.1
 """Components that enclose less than this many voxels are removed."""
 
@@ -56,7 +61,8 @@ class Params(contract.Params):
     start: Literal["surface", "voxels"] = "surface"
     """First generators: mirrored in the true surface, or in the voxels' boundary as the paper."""
     iterations: Annotated[int, Range(0, 100_000)] = 20
-    """Adam iterations on the generators; the diagram is computed anew in each."""
+    """Adam iterations on the generators at most, with a diagram each; ten that win nothing end
+    them."""
     learning_rate: Positive | None = None
     """Adam step, in units of the voxel edge h0: 0.01, from voxels 0.02."""
     weight_shape: Positive | None = None
@@ -84,18 +90,14 @@ def run(context: Context) -> Outcome:
     import torch
 
     from .export import ply
-    from .losses import regularization, shape
+    from .losses import shape
     from .metrics import watertight
     from .optimize.loop import Schedule, adam
     from .sources.voxels import VoxelGrid
-    from .surface.frames import Connectivity, face_frames
     from .surface.model_frame import ModelFrame
     from .surface.topology import topology
     from .voronoi.cleanup import clean
-    from .voronoi.delaunay import in_passing
     from .voronoi.interface import interface, without_islands
-    from .voronoi.rings import ring_mesh, select_interface, voronoi_rings
-    from .voronoi.vertices import voronoi_vertices
 
     torch.set_num_threads(context.threads)
     params = context.params
@@ -110,26 +112,16 @@ def run(context: Context) -> Outcome:
     shape_loss = shape.for_source(context, frame, params.shape_loss)
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:
-        here = generators.detach().cpu().numpy()
-        diagram = in_passing(here)
-        mesh, used = ring_mesh(voronoi_rings(here, diagram, select_interface(inside)))
-        corners = torch.as_tensor(diagram.corners[used], device=context.device)
-        vertices = voronoi_vertices(generators, corners)
-        connectivity = Connectivity.of(mesh, context.device)
-        frames = face_frames(vertices, connectivity)
-        return {
-            "shape": shape_loss(shape.surface_samples(vertices, frames), True),
-            "normal": regularization.normal_consistency(frames, connectivity),
-            "area": regularization.area_uniformity(frames),
-            "centroid": regularization.centroid_alignment(frames, connectivity),
-        }
+        return surface_losses(generators, inside, shape_loss)
 
     history = adam(
         {"generators": generators},
         losses,
         {key: params.value(f"weight_{key}") for key in ("shape", "normal", "area")}
         | {"centroid": params.weight_centroid},
-        Schedule(params.iterations, params.value("learning_rate"), "constant", checkpoint_every=20),
+        Schedule(
+            params.iterations, params.value("learning_rate"), "constant", 20, patience=PATIENCE
+        ),
         context.checkpoints,
         context.progress,
         "init",
@@ -195,6 +187,33 @@ def run(context: Context) -> Outcome:
     )
 
 
+def surface_losses(
+    generators: torch.Tensor, inside: NDArray[np.bool_], shape_loss: ShapeLoss
+) -> dict[str, torch.Tensor]:
+    """The losses of the interface of ``generators (N, 3)``, in a diagram of their own."""
+    import torch
+
+    from .losses import regularization, shape
+    from .surface.frames import Connectivity, face_frames
+    from .voronoi.delaunay import in_passing
+    from .voronoi.rings import ring_mesh, select_interface, voronoi_rings
+    from .voronoi.vertices import voronoi_vertices
+
+    here = generators.detach().cpu().numpy()
+    diagram = in_passing(here)
+    mesh, used = ring_mesh(voronoi_rings(here, diagram, select_interface(inside)))
+    corners = torch.as_tensor(diagram.corners[used], device=generators.device)
+    vertices = voronoi_vertices(generators, corners)
+    connectivity = Connectivity.of(mesh, generators.device)
+    frames = face_frames(vertices, connectivity)
+    return {
+        "shape": shape_loss(shape.surface_samples(vertices, frames), True),
+        "normal": regularization.normal_consistency(frames, connectivity),
+        "area": regularization.area_uniformity(frames),
+        "centroid": regularization.centroid_alignment(frames, connectivity),
+    }
+
+
 def _first_generators(
     context: Context, grid: VoxelGrid, frame: ModelFrame
 ) -> tuple[Floats, NDArray[np.bool_], int, tuple[int, int] | None]:
@@ -240,6 +259,11 @@ def _first_generators(
     return *best[1:], expected
 
 
+def _memory(context: Context) -> float:
+    # About as many generators as voxels of the exterior band.
+    return peak(600.0, 400.0, 12.0, float(context.arrays("classify")["exterior"].sum()))
+
+
 STAGE = Stage(
     name="init",
     version=3,
@@ -247,4 +271,5 @@ STAGE = Stage(
     run=run,
     parents=lambda params: ("classify",),
     reads_input=True,
+    memory=_memory,
 )

@@ -1,4 +1,4 @@
-"""The memory a stage will need, the memory there is, and a refusal before either runs out."""
+"""What memory a stage will need, what there is, and a refusal where that is less."""
 
 from __future__ import annotations
 
@@ -38,6 +38,14 @@ def require(stage: str, needed_mb: float, most_mb: float | None) -> None:
     raise UsageError(
         f"{stage}: needs about {needed_mb / 1000:.1f} GB of memory and {have}, or lower -n"
     )
+
+
+def peak(least: float, start: float, each: float, count: float) -> float:
+    """MB: ``start`` and ``each`` kB for every one of ``count``, but ``least`` while libraries load.
+
+    The figures of the stages are fits to what ``make bench-stages`` measures, rounded up.
+    """
+    return max(least, start + 1e-3 * each * count)
 
 
 def peak_mb() -> float | None:

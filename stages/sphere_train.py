@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Stage
 from .errors import UsageError
+from .memory import peak
 
 if TYPE_CHECKING:
     from .surface.model_frame import ModelFrame
@@ -381,6 +382,14 @@ def _outcome(
     )
 
 
+def _memory(context: Context) -> float:
+    # At the default edge length there are about as many triangles as faces of the first surface.
+    faces = len(context.arrays("init")["surface/face_offsets"]) - 1.0
+    if not context.params.by_adam:
+        faces *= (DEFAULTS["triangle"]["edge_length"] / context.params.value("edge_length")) ** 2
+    return peak(600.0, 430.0, 8.0, faces)
+
+
 STAGE = Stage(
     name="sphere-train",
     version=4,
@@ -388,4 +397,5 @@ STAGE = Stage(
     run=run,
     parents=lambda params: ("classify", "init"),
     reads_input=True,
+    memory=_memory,
 )

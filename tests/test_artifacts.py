@@ -14,6 +14,7 @@ import pytest
 
 from vorolight import schemas
 from vorolight.schemas import layouts
+from vorolight.stages import memory
 from vorolight.stages.artifacts import atomic, fingerprint, hdf5, lock, manifest, randomness
 from vorolight.stages.artifacts.checkpoints import Checkpoints
 from vorolight.stages.artifacts.run_folder import RunFolder
@@ -174,3 +175,22 @@ def test_run_folder_is_found(tmp_path: Path) -> None:
     (tmp_path / "two.vorolight").mkdir()
     with pytest.raises(UsageError, match=r"one.vorolight, two.vorolight"):
         RunFolder.locate(None, None, tmp_path)
+
+
+def test_a_container_may_have_less_memory_than_its_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = memory.free_mb()
+    assert whole > 100
+    monkeypatch.setattr(memory, "CONTROL_GROUP", tmp_path)
+    assert memory.free_mb() == pytest.approx(whole, rel=0.5)  # others use memory too
+    (tmp_path / "memory.current").write_text("20000000\n")
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.free_mb() > 100
+    (tmp_path / "memory.max").write_text("70000000\n")
+    assert memory.free_mb() == 50.0
+    memory.require("init", 49.0, None)
+    with pytest.raises(
+        UsageError, match=r"init: needs about 0\.1 GB of memory and 0\.1 GB are free"
+    ):
+        memory.require("init", 100.0, None)

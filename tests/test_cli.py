@@ -191,6 +191,22 @@ def test_backends_give_the_same_surface(tmp_path: Path, cli: Cli) -> None:
     assert "backend shull -> scipy" in done.stdout + done.stderr
 
 
+def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
+    words = ["init", "sphere", "-n", 12, "--iterations", 2, "--run", "run"]
+    done = cli(*words, "--max-memory", 0.3, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "init: needs about 0.6 GB of memory and --max-memory is 0.3: raise it" in done.stderr
+    assert not (tmp_path / "run" / "init.json").exists()
+    done = cli(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "init: about 0.6 GB of memory" in done.stderr
+    assert cli("sphere-train", "--run", "run", cwd=tmp_path).returncode == 0
+    for stage in ("classify", "init", "sphere-train"):
+        found = json.loads((tmp_path / "run" / f"{stage}.json").read_text())["volatile"]
+        # Libraries of other versions load more or less; never half or thrice as much.
+        assert 0.4 < found["peak_memory_mb"] / found["memory_estimate_mb"] < 1.5
+
+
 def test_config_file_and_precedence(tmp_path: Path, cli: Cli) -> None:
     (tmp_path / "a.toml").write_text("[classify]\nn_init = 7\n[init]\niterations = 3\n")
     done = cli("init", "sphere", "--config", "a.toml", "--iterations", 2, "--json", cwd=tmp_path)

@@ -7,7 +7,9 @@ import pytest
 import torch
 from conftest import sphere_mesh
 
+from vorolight.stages.contract import Silent
 from vorolight.stages.losses import regularization, shape, sphere
+from vorolight.stages.optimize.loop import Schedule, adam
 from vorolight.stages.sources.fields import FieldSource
 from vorolight.stages.surface.frames import Connectivity, face_frames
 from vorolight.stages.surface.model_frame import ModelFrame
@@ -128,3 +130,26 @@ def test_chamfer() -> None:
     forward, backward = (0.01 + 0.04) / 2, (0.01 + 0.81 + 0.04) / 3
     assert float(loss(samples, True).detach()) == pytest.approx(forward + backward)
     assert torch.autograd.gradcheck(lambda x: loss(x, True), samples)
+
+
+@pytest.mark.parametrize("patience", [None, 10])
+def test_training_ends_where_nothing_is_won(patience: int | None) -> None:
+    class Nowhere:
+        def latest(self) -> None:
+            return None
+
+        def save(self, iteration: int, arrays: dict) -> None:
+            pass
+
+    place = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
+    history = adam(
+        {"place": place},
+        lambda iteration: {"square": (place**2).sum() + 1},
+        {"square": 1.0},
+        Schedule(400, 0.2, "constant", 1000, patience),
+        Nowhere(),
+        Silent(),
+        "test",
+    )
+    assert abs(float(place.detach())) < 1  # overshooting, Adam comes back slowly
+    assert len(history) == 400 if patience is None else 20 < len(history) < 200

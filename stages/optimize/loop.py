@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 """Adam's constants (Kingma and Ba 2015)."""
 
+LESS = 1e-3
+"""Part of the total loss that an iteration must win to count, where training may end early."""
+
 Losses = Callable[[int], dict[str, torch.Tensor]]
 
 
@@ -32,6 +35,9 @@ class Schedule:
     checkpoint_every: int
     """Iterations between checkpoints; a multiple of every interval at which ``losses`` refreshes
     what it caches, so that a resumed run repeats the interrupted one bit by bit."""
+    patience: int | None = None
+    """Iterations after which training ends if none of them was better than the best before by
+    LESS of it; None never ends early."""
 
     def rate_at(self, iteration: int) -> float:
         if self.decay == "constant":
@@ -91,7 +97,8 @@ def adam(
     """Minimise ``sum of weights[k] * losses(iteration)[k]`` over ``parameters``, in place.
 
     Resumes from the newest checkpoint. Returns the history ``(iterations, len(weights))`` of the
-    unweighted losses. Raises NumericalFailure when a loss or gradient is not finite.
+    unweighted losses, shorter where it ended early. Raises NumericalFailure when a loss or gradient
+    is not finite.
     """
     tensors = list(parameters.values())
     moments = Moments(parameters)
@@ -115,9 +122,18 @@ def adam(
                 f"{label}: a loss or gradient is not finite at iteration {iteration}; "
                 "lower --learning-rate"
             )
+        if _at_rest(history[: iteration + 1] @ np.array(list(weights.values())), schedule.patience):
+            return history[: iteration + 1]
         moments.step(gradients, iteration, schedule.rate_at(iteration))
         progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
         if (iteration + 1) % schedule.checkpoint_every == 0 and iteration + 1 < schedule.iterations:
             saved = {"history": history[: iteration + 1], **moments.as_arrays()}
             checkpoints.save(iteration + 1, saved)
     return history
+
+
+def _at_rest(totals: np.ndarray, patience: int | None) -> bool:
+    """Whether the last ``patience`` of ``totals`` won nothing over those before."""
+    if patience is None or len(totals) <= patience:
+        return False
+    return bool(totals[-patience:].min() > (1 - LESS) * totals[:-patience].min())
