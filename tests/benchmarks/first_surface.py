@@ -40,7 +40,7 @@ def adam(rate: float) -> Callable[[Evaluate, np.ndarray], None]:
     def run(evaluate: Evaluate, start: np.ndarray) -> None:
         places = {"generators": torch.tensor(start)}
         moments = Moments(places)
-        for iteration in range(max(SHOWN)):
+        for iteration in range(max(SHOWN) + 1):
             _, gradient = evaluate(places["generators"].numpy())
             moments.step([torch.tensor(gradient)], iteration, rate)
 
@@ -86,8 +86,14 @@ def study(shape: str, n: int) -> dict[str, Any]:
             terms = surface_losses(at, inside, shape_loss)
             total = sum(WEIGHTS[key] * terms[key] for key in WEIGHTS)
             (gradient,) = torch.autograd.grad(total, at)
-            seen.append([float(total), float(terms["shape"]), float(terms["normal"])])
-            return float(total), gradient.numpy()
+            seen.append(
+                [
+                    float(total.detach()),
+                    float(terms["shape"].detach()),
+                    float(terms["normal"].detach()),
+                ]
+            )
+            return float(total.detach()), gradient.numpy()
 
         begin = time.perf_counter()
         method(evaluate, start)
