@@ -69,5 +69,5 @@ STAGE = Stage(
     version=2,
     params=Params,
     run=run,
-    memory=lambda context: peak(120.0, 150.0, 0.35, float(context.params.n_init) ** 3),
+    memory=lambda context: peak(240.0, 240.0, 0.25, float(context.params.n_init) ** 3),
 )

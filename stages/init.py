@@ -204,7 +204,7 @@ def surface_losses(
     mesh, used = ring_mesh(voronoi_rings(here, diagram, select_interface(inside)))
     corners = torch.as_tensor(diagram.corners[used], device=generators.device)
     vertices = voronoi_vertices(generators, corners)
-    connectivity = Connectivity.of(mesh, generators.device)
+    connectivity = Connectivity.of(mesh, str(generators.device))
     frames = face_frames(vertices, connectivity)
     return {
         "shape": shape_loss(shape.surface_samples(vertices, frames), True),

@@ -309,7 +309,6 @@ def _outcome(
     warnings: list[str],
 ) -> Outcome:
     """The certificate, the surface it allows to write, and the files in the input's coordinates."""
-
     from .export import ply
     from .metrics import watertight
     from .optimize.descent import TERMS

@@ -122,7 +122,8 @@ def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
         table = EdgeTable.of(mesh.triangles)
         existing = np.sort(table.ends, axis=1) @ np.array([count, 1])
         # What a flip is worth changes only with what happens at its four corners.
-        table = table.rows(active[table.ends].any(axis=1) | active[table.opposite].any(axis=1))
+        corners = np.concatenate([table.ends, table.opposite], axis=1)
+        table = table.rows(np.asarray(active[corners].any(axis=1)))
         value = gain(mesh, table)
         valence = np.bincount(mesh.triangles.reshape(-1), minlength=count)
         wanted = (value > 0) & (valence[table.ends] > 3).all(axis=1)

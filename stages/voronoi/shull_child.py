@@ -47,7 +47,7 @@ def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[
 def _send(pipe: IO[bytes], count: int, *parts: NDArray[np.generic]) -> None:
     pipe.write(count.to_bytes(HEADER, "little", signed=True))
     for part in parts:
-        pipe.write(memoryview(part).cast("B"))
+        pipe.write(part.tobytes())
     pipe.flush()
 
 
