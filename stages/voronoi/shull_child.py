@@ -19,29 +19,32 @@ _CHILD: list[subprocess.Popen[bytes]] = []
 def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Corners and neighbours ``(T, 4)`` of the tetrahedra of ``points (N, 3)``; the child stays for
     the next call. Raises RuntimeError when shull fails or dies."""
-    if not _CHILD:
-        command = [sys.executable, "-m", __name__]
-        _CHILD.append(
-            subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-            )
-        )
-    child = _CHILD[0]
+    child = _CHILD.pop() if _CHILD else _started()
     assert child.stdin is not None
     assert child.stdout is not None
     try:
         _send(child.stdin, len(points), np.ascontiguousarray(points, dtype=np.float64))
         count = _count(child.stdout)
-        if count < 0:
-            raise RuntimeError(_read(child.stdout, _count(child.stdout)).decode())
-        corners, neighbours = (
-            np.frombuffer(_read(child.stdout, 16 * count), np.int32).reshape(-1, 4) for _ in "cn"
-        )
+        size = 16 * count if count >= 0 else _count(child.stdout)
+        answer = [_read(child.stdout, size) for _ in range(2 if count >= 0 else 1)]
     except (EOFError, OSError) as error:
-        _CHILD.clear()
         child.kill()
         raise RuntimeError(f"shull ended with {child.wait()}") from error
+    # Only now: a child whose answer was not read to its end would give it to the next call.
+    _CHILD.append(child)
+    if count < 0:
+        raise RuntimeError(answer[0].decode())
+    corners, neighbours = (np.frombuffer(part, np.int32).reshape(-1, 4) for part in answer)
     return corners.astype(np.int64), neighbours.astype(np.int64)
+
+
+def _started() -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", __name__],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def _send(pipe: IO[bytes], count: int, *parts: NDArray[np.generic]) -> None:
