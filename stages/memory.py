@@ -51,6 +51,12 @@ def peak(least: float, start: float, each: float, count: float) -> float:
 def peak_mb() -> float | None:
     """Peak resident memory of this process so far, in MB; None where the system does not tell."""
     try:
+        # Not from getrusage: what that says outlives exec, so it may be the parent's memory.
+        lines = Path("/proc/self/status").read_text(encoding="ascii", errors="replace").split("\n")
+        return round(next(float(x.split()[1]) for x in lines if x.startswith("VmHWM")) / 1024, 1)
+    except (OSError, StopIteration):
+        pass
+    try:
         import resource
     except ImportError:
         return None

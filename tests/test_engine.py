@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 from conftest import Cli
 
 
@@ -36,5 +39,12 @@ def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
     assert cli("sphere-train", "--run", "run", cwd=tmp_path).returncode == 0
     for stage in ("classify", "init", "sphere-train"):
         found = json.loads((tmp_path / "run" / f"{stage}.json").read_text())["volatile"]
-        # Libraries of other versions load more or less; never half or thrice as much.
-        assert 0.4 < found["peak_memory_mb"] / found["memory_estimate_mb"] < 1.5
+        # Libraries of other versions load more or less, and a field loads fewer than a mesh.
+        assert 0.2 < found["peak_memory_mb"] / found["memory_estimate_mb"] < 1.2
+
+
+def test_peak_memory_is_not_the_parents() -> None:
+    held = np.ones(60_000_000)  # 480 MB that a child inherits in what getrusage says
+    script = "from vorolight.stages.memory import peak_mb; print(peak_mb())"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert float(done.stdout) < 200 < held.nbytes / 1e6
