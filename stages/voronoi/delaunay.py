@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Tetrahedra:
-    """Delaunay tetrahedra: ``corners (T, 4)`` generator indices, ``neighbours (T, 4)``.
+    """Delaunay tetrahedra: ``corners (T, 4)`` generator indices, ascending; ``neighbours (T, 4)``.
 
     ``neighbours[t, k]`` is the tetrahedron across the facet opposite corner ``k``, -1 on the hull.
     """
@@ -37,12 +37,12 @@ OVERLAP = 1e-9
 PACKED = 2_000_000
 """Points below which three indices fit into one 64-bit key."""
 
-Backend = Callable[[Floats], Tetrahedra]
-"""The tetrahedra of points ``(N, 3)``, finite and at least five; raises RuntimeError when it cannot
-say. Points that are no corner of any are left out."""
+Backend = Callable[[Floats], tuple[Ints, Ints]]
+"""Corners and neighbours of points ``(N, 3)``, finite and at least five, in whatever order; raises
+RuntimeError when it cannot say. Points that are no corner of any are left out."""
 
 
-def by_scipy(generators: Floats) -> Tetrahedra:
+def by_scipy(generators: Floats) -> tuple[Ints, Ints]:
     """Qhull's."""
     from scipy.spatial import Delaunay, QhullError
 
@@ -50,10 +50,10 @@ def by_scipy(generators: Floats) -> Tetrahedra:
         result: Any = Delaunay(generators)
     except QhullError as error:
         raise NumericalFailure(f"Qhull: {str(error).splitlines()[0]}") from error
-    return Tetrahedra(result.simplices.astype(np.int64), result.neighbors.astype(np.int64))
+    return result.simplices.astype(np.int64), result.neighbors.astype(np.int64)
 
 
-def by_shull(generators: Floats) -> Tetrahedra:
+def by_shull(generators: Floats) -> tuple[Ints, Ints]:
     """shull's, computed in a child process. Raises RuntimeError when they do not fill the convex
     hull: on degenerate points shull 0.4 may leave some overlapping."""
     from scipy.spatial import ConvexHull
@@ -67,7 +67,7 @@ def by_shull(generators: Floats) -> Tetrahedra:
     whole = ConvexHull(generators).volume
     if abs(np.abs(volume).sum() - whole) > OVERLAP * whole:
         raise RuntimeError("tetrahedra overlap")
-    return Tetrahedra(corners, neighbours)
+    return corners, neighbours
 
 
 BACKENDS: dict[str, Backend] = {"scipy": by_scipy, "shull": by_shull}
@@ -138,19 +138,19 @@ def _checked(generators: Floats, method: Backend) -> Tetrahedra:
         raise NumericalFailure(f"{len(generators)} generators are too few for a Voronoi diagram")
     if not np.isfinite(generators).all():
         raise NumericalFailure("a generator is not finite: the optimisation diverged")
-    result = method(generators)
+    corners, neighbours = method(generators)
     present = np.zeros(len(generators), dtype=bool)
-    present[result.corners] = True
+    present[corners] = True
     # Backends leave out what coincides.
     if not present.all() and len(np.unique(generators, axis=0)) < len(generators):
         raise NumericalFailure("two generators coincide")
-    return _in_order(result, len(generators))
+    return _in_order(corners, neighbours, len(generators))
 
 
-def _in_order(found: Tetrahedra, count: int) -> Tetrahedra:
+def _in_order(corners: Ints, neighbours: Ints, count: int) -> Tetrahedra:
     """Corners ascending and tetrahedra sorted by them, so that all backends give the same bits."""
-    place = np.argsort(found.corners, axis=1)
-    corners = np.take_along_axis(found.corners, place, axis=1)
+    place = np.argsort(corners, axis=1)
+    corners = np.take_along_axis(corners, place, axis=1)
     if count < PACKED:
         # Two tetrahedra at the most share their first three corners.
         key = (corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2]
@@ -162,5 +162,5 @@ def _in_order(found: Tetrahedra, count: int) -> Tetrahedra:
         order = np.lexsort(corners.T[::-1])
     number = np.empty(len(order) + 1, dtype=np.int64)
     number[order], number[-1] = np.arange(len(order)), -1
-    neighbours = np.take_along_axis(found.neighbours, place, axis=1)[order]
+    neighbours = np.take_along_axis(neighbours, place, axis=1)[order]
     return Tetrahedra(corners[order], number[neighbours])

@@ -18,6 +18,24 @@ OPPOSITE = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
 EDGE_OF = np.full((4, 4), -1)
 EDGE_OF[EDGES[:, 0], EDGES[:, 1]] = EDGE_OF[EDGES[:, 1], EDGES[:, 0]] = np.arange(6)
 
+
+def _beyond() -> Ints:
+    """What a walk around ``edge`` that leaves opposite of corner ``out`` and enters the next
+    tetrahedron opposite of its corner ``into`` does there, by ``[out, into, edge]``: twice the
+    number of the edge there and the side it leaves on. Corners are ascending in both."""
+    table = np.full((4, 4, 6), -1)
+    for out in range(4):
+        for into in range(4):
+            # The three corners of the shared triangle, here and there.
+            rest = [np.delete(np.arange(4), corner) for corner in (out, into)]
+            there = dict(zip(*rest, strict=True))
+            for edge in np.flatnonzero((out != EDGES).all(axis=1)):
+                same = EDGE_OF[there[EDGES[edge, 0]], there[EDGES[edge, 1]]]
+                table[out, into, edge] = 2 * same + (OPPOSITE[same, 0] == into)
+    return table
+
+
+BEYOND = _beyond()
 THIN = 1e-6
 """Six volumes of a tetrahedron over the cube of an edge, below which its turning sense is not
 relied on."""
@@ -47,8 +65,13 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     Raises NumericalFailure when a wanted face is unbounded (its edge lies on the convex hull) or
     the triangulation is inconsistent around an edge.
     """
-    corners, neighbours = tetrahedra.corners, tetrahedra.neighbours
-    wanted = select(corners[:, EDGES[:, 0]], corners[:, EDGES[:, 1]])
+    wanted = select(tetrahedra.corners[:, EDGES[:, 0]], tetrahedra.corners[:, EDGES[:, 1]])
+    # From here on tetrahedra are numbered among those with a wanted edge.
+    used = np.flatnonzero(wanted.any(axis=1))
+    wanted, corners = wanted[used], tetrahedra.corners[used]
+    number = np.full(len(tetrahedra.corners) + 1, -1)
+    number[used] = np.arange(len(used))
+    neighbours = number[tetrahedra.neighbours[used]]
     tet, edge = np.nonzero(wanted)
     if len(tet) == 0:
         return Rings(np.zeros((0, 2), np.int64), np.zeros(1, np.int64), np.zeros(0, np.int64))
@@ -58,19 +81,16 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     incidence = np.full(wanted.shape, -1, dtype=np.int64)
     incidence[tet, edge] = np.arange(len(tet))
 
-    # State (incidence, side): leave the tetrahedron opposite its corner OPPOSITE[edge, side]; the
-    # other free corner is carried along and is the one to leave opposite of in the next one.
+    # State (incidence, side): leave the tetrahedron opposite its corner OPPOSITE[edge, side].
+    back = (neighbours[neighbours] == np.arange(len(used))[:, None, None]).argmax(axis=2)
     leaving = np.empty((len(tet), 2), dtype=np.int64)
     for side in (0, 1):
-        beyond = neighbours[tet, OPPOSITE[edge, side]]
+        corner = OPPOSITE[edge, side]
+        beyond = neighbours[tet, corner]
         if (beyond < 0).any():
             raise NumericalFailure("a Voronoi face of the surface is unbounded")
-        there = corners[beyond]
-        carried = corners[tet, OPPOSITE[edge, 1 - side]]
-        local = [np.argmax(there == which[:, None], axis=1) for which in (first, second, carried)]
-        next_edge = EDGE_OF[local[0], local[1]]
-        next_side = (OPPOSITE[next_edge, 1] == local[2]).astype(np.int64)
-        leaving[:, side] = 2 * incidence[beyond, next_edge] + next_side
+        then = BEYOND[corner, back[tet, corner], edge]
+        leaving[:, side] = 2 * incidence[beyond, then >> 1] + (then & 1)
     following = leaving.reshape(-1)
 
     key = first * len(generators) + second
@@ -111,7 +131,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     total = np.bincount(ring[asked], wedges(walked[asked])[0], minlength=len(starts))
     clockwise = np.where(unsure, total, sense) < 0
     offsets = np.append(starts, len(order)).astype(np.int64)
-    around = tet[walked >> 1]
+    around = used[tet[walked >> 1]]
     within = np.arange(len(around)) - starts[ring]
     mirrored = (starts + valence - 1)[ring] - within
     around = np.where(clockwise[ring], around[mirrored], around)
@@ -130,6 +150,7 @@ def ring_mesh(rings: Rings) -> tuple[PolygonMesh, Ints]:
 
     The vertices are not placed yet: all at the origin.
     """
-    used, corner = np.unique(rings.tetrahedra, return_inverse=True)
-    mesh = PolygonMesh(np.zeros((len(used), 3)), rings.offsets, corner.astype(np.int64))
-    return mesh, used
+    present = np.zeros(rings.tetrahedra.max(initial=-1) + 1, dtype=bool)
+    present[rings.tetrahedra] = True
+    used, number = np.flatnonzero(present), np.cumsum(present) - 1
+    return PolygonMesh(np.zeros((len(used), 3)), rings.offsets, number[rings.tetrahedra]), used
