@@ -328,6 +328,8 @@ def _stop(number: int, frame: object) -> None:
 
 def main() -> None:
     """Entry point of the console script."""
+    # torch's threads would spin between its operations and keep scipy's from the cores.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
     _build()

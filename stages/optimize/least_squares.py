@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, Ints
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    Product = Callable[[Tensor], Tensor]
 
 TOLERANCE, ITERATIONS = 1e-2, 80
 """Of the conjugate gradients; a step need not be exact."""
@@ -58,7 +64,10 @@ class GaussNewton:
         kept[rows[used]] = True
         rows = (np.cumsum(kept) - 1)[rows[used]]
         shape = (int(kept.sum()), int(self.free.sum()))
-        jacobian = csr_array((values[used], (rows, number[columns[used]])), shape=shape)
+        # Half the memory to go through in a product, wherever that many suffice.
+        index = np.int32 if max(len(rows), *shape) < 2**31 else np.int64
+        places = rows.astype(index), number[columns[used]].astype(index)
+        jacobian = csr_array((values[used], places), shape=shape)
         transpose = jacobian.T.tocsr()
         squares = np.bincount(jacobian.indices, jacobian.data**2, minlength=shape[1])
         gradient = np.asarray(transpose @ residual[kept])
@@ -66,19 +75,54 @@ class GaussNewton:
 
     def step(self, damping: float) -> Floats:
         """The step ``(U,)`` with ``damping`` in units of the mean square of a column."""
-        from scipy.sparse.linalg import LinearOperator, cg
+        import torch
 
         jacobian, transpose, gradient, squares = self._system
         result = np.zeros(len(self.free))
-        if len(gradient) == 0:
+        if not gradient.any():
             return result
         shift = damping * squares.mean()
-        shape = (len(gradient), len(gradient))
-        result[self.free], _ = cg(
-            LinearOperator(shape, lambda x: transpose @ (jacobian @ x) + shift * x),
-            -gradient,
-            rtol=TOLERANCE,
-            maxiter=ITERATIONS,
-            M=LinearOperator(shape, lambda x: x / (squares + shift)),
-        )
+        first, second = _product(jacobian), _product(transpose)
+        result[self.free] = conjugate_gradients(
+            lambda x: second(first(x)) + shift * x,
+            torch.from_numpy(-gradient),
+            torch.from_numpy(1 / (squares + shift)),
+        ).numpy()
         return result
+
+
+def conjugate_gradients(product: Product, right: Tensor, inverse: Tensor) -> Tensor:
+    """``x (U,)`` with ``product(x)`` about ``right``, preconditioned by a diagonal's ``inverse``.
+
+    In torch throughout: where its threads take turns with those of numpy's library, as they would
+    with scipy's, all of it takes several times as long.
+    """
+    x, rest = right.new_zeros(right.shape), right.clone()
+    close = TOLERANCE * right.norm()
+    direction, before = right.new_zeros(right.shape), right.new_ones(())
+    for _ in range(ITERATIONS):
+        scaled = inverse * rest
+        now = rest.dot(scaled)
+        direction = scaled + (now / before) * direction
+        before = now
+        image = product(direction)
+        length = now / direction.dot(image)
+        x += length * direction
+        rest -= length * image
+        if rest.norm() <= close:
+            break
+    return x
+
+
+def _product(matrix: Any) -> Product:
+    """The product of a sparse ``matrix`` and a vector: MKL's, on all cores, where torch comes with
+    it, in a third of the time of scipy's."""
+    import torch
+
+    if not torch.backends.mkl.is_available():
+        return lambda x: torch.from_numpy(np.asarray(matrix @ x.numpy()))
+    parts = (torch.from_numpy(part) for part in (matrix.indptr, matrix.indices, matrix.data))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse")
+        inner = torch.sparse_csr_tensor(*parts, size=matrix.shape, check_invariants=False)
+    return lambda x: inner @ x
