@@ -259,14 +259,14 @@ class Stage:
     """Raised by hand whenever the results change."""
     params: type[Params]
     run: Callable[[Context], Outcome]
+    memory: Callable[[Context], float]
+    """The peak memory that it will need, in MB."""
     parents: Callable[[Any], tuple[str, ...]] = _no_parents
     """The stages whose files it reads, given its parameters."""
     reads_input: bool = False
     """Whether the input itself, beyond what the parents hold, decides its result."""
     stem: Callable[[Any], str] | None = None
     """File name of its artifacts when it is not the stage's name."""
-    memory: Callable[[Context], float] | None = None
-    """The peak memory that it will need, in MB; None where that does not grow with the shape."""
     extra_inputs: Callable[[Any], dict[str, str]] = lambda params: {}
     """Further inputs it reads, by role: files or names of built-in fields."""
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from . import contract
 from .contract import Context, Outcome, Range, Stage
+from .memory import peak
 
 if TYPE_CHECKING:
     from .surface.polygons import PolygonMesh
@@ -248,6 +249,14 @@ def _extra(params: Params) -> dict[str, str]:
     return {} if params.reference is None else {"reference": params.reference}
 
 
+def _memory(context: Context) -> float:
+    params = context.params
+    # The volume's surface is the trained one's.
+    of = "init" if params.of == "init" else "sphere-train"
+    corners = len(context.arrays(of)["surface/face_vertices"])
+    return peak(350.0, 210.0 + 1e-4 * params.samples, 6.0, corners)
+
+
 STAGE = Stage(
     name="evaluate",
     version=2,
@@ -261,4 +270,5 @@ STAGE = Stage(
     reads_input=True,
     stem=lambda params: f"evaluate-{params.of}",
     extra_inputs=_extra,
+    memory=_memory,
 )

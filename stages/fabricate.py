@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from . import contract
 from .contract import Context, Outcome, Range, Share, Stage
 from .errors import UsageError
+from .memory import peak
 
 
 @dataclass(frozen=True)
@@ -213,10 +214,16 @@ def recheck(paths: dict[str, Path]) -> dict[str, Any]:
     return found.as_json()
 
 
+def _memory(context: Context) -> float:
+    tubes = len(context.arrays("sphere-train")["trained/face_vertices"]) / 2
+    return peak(300.0, 250.0, 52.0 * (context.params.sides / 12) ** 2, tubes)
+
+
 STAGE = Stage(
     name="fabricate",
-    version=2,
+    version=3,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "sphere-train"),
+    memory=_memory,
 )

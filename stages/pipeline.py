@@ -135,11 +135,9 @@ def _run(
         checkpoints=checkpoints,
         random=partial(randomness.generator, session.seed, stage.name),
     )
-    needed = None
-    if stage.memory is not None:
-        needed = stage.memory(context)
-        session.progress.note(f"{stage.name}: about {needed / 1000:.1f} GB of memory")
-        memory.require(stage.name, needed, session.max_memory_mb)
+    needed = stage.memory(context)
+    session.progress.note(f"{stage.name}: about {needed / 1000:.1f} GB of memory")
+    memory.require(stage.name, needed, session.max_memory_mb)
     wall, cpu = time.perf_counter(), time.process_time()
     from .voronoi.delaunay import backend
 
@@ -203,7 +201,7 @@ def _run(
             "mtime_ns": times,
             "wall_seconds": round(time.perf_counter() - wall, 3),
             "cpu_seconds": round(time.process_time() - cpu, 3),
-            "memory_estimate_mb": None if needed is None else round(needed, 1),
+            "memory_estimate_mb": round(needed, 1),
             "peak_memory_mb": memory.peak_mb(),
             "threads": session.threads,
             "host": socket.gethostname(),

@@ -383,15 +383,15 @@ def _outcome(
 
 def _memory(context: Context) -> float:
     # At the default edge length there are about as many triangles as faces of the first surface.
-    faces = len(context.arrays("init")["surface/face_offsets"]) - 1.0
-    if not context.params.by_adam:
-        faces *= (DEFAULTS["triangle"]["edge_length"] / context.params.value("edge_length")) ** 2
-    return peak(600.0, 430.0, 8.0, faces)
+    params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0
+    if not params.by_adam:
+        faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2
+    return peak(600.0, 430.0, 8.0 if params.kind == "triangle" else 30.0, faces)
 
 
 STAGE = Stage(
     name="sphere-train",
-    version=4,
+    version=5,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

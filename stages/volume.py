@@ -12,6 +12,7 @@ from typing import Annotated
 
 from . import contract
 from .contract import Context, Outcome, Range, Stage
+from .memory import peak
 
 CHECKPOINT_EVERY = 10
 
@@ -154,10 +155,16 @@ def run(context: Context) -> Outcome:
     )
 
 
+def _memory(context: Context) -> float:
+    boundary = 2 * len(context.arrays("sphere-train")["generators/inside"])
+    return peak(200.0, 100.0, 11.0, boundary + context.params.inner)
+
+
 STAGE = Stage(
     name="volume",
     version=3,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "sphere-train"),
+    memory=_memory,
 )

@@ -1,4 +1,4 @@
-"""From bodies to one printable mesh: a single union, one part, safe in 32-bit coordinates."""
+"""From bodies to one printable mesh: a union, one part, safe in 32-bit coordinates."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from ..errors import NumericalFailure
 from ..surface.polygons import Ints
 
 Floats32 = NDArray[np.float32]
+
+AT_ONCE = 200
+"""Bodies that are united in one operation; from 50 to 1000 it makes little difference."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +30,11 @@ class Part:
 
 
 def assemble(add: list[Any], cavity: Any | None, flat_base: bool) -> Part:
-    """Union of ``add`` in one operation, less ``cavity``, cut at z = 0; the largest part of it.
+    """Union of ``add``, less ``cavity``, cut at z = 0; the largest part of it.
 
     Raises NumericalFailure when the union fails or the result cannot be written closed.
     """
-    from manifold3d import Manifold, OpType
-
-    body = Manifold.batch_boolean(add, OpType.Add)
+    body = _union(add)
     if cavity is not None:
         body = body - cavity
     if flat_base:
@@ -53,6 +54,29 @@ def assemble(add: list[Any], cavity: Any | None, flat_base: bool) -> Part:
         dropped_parts=len(parts) - 1,
         dropped_volume=float(sum(part.volume() for part in parts[1:])),
     )
+
+
+def _union(bodies: list[Any]) -> Any:
+    """The union of ``bodies``, neighbours first: what is united early is small, and hidden surface
+    does not come along. In one go 17,000 tubes took half as long again, 67,000 more than twice."""
+    from manifold3d import Manifold, OpType
+
+    boxes = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
+    middle = boxes.mean(axis=1)
+
+    def united(which: Ints) -> Any:
+        if len(which) <= AT_ONCE:
+            body = Manifold.batch_boolean([bodies[i] for i in which], OpType.Add)
+        else:
+            axis = np.ptp(middle[which], axis=0).argmax()
+            ordered = which[np.argsort(middle[which, axis], kind="stable")]
+            half = len(which) // 2
+            body = united(ordered[:half]) + united(ordered[half:])
+        # Else it would only be noted down, to be done all at once in the end.
+        body.status()
+        return body
+
+    return united(np.arange(len(bodies)))
 
 
 def _weld(vertices: NDArray[np.float64], triangles: Ints) -> tuple[Floats32, Ints]:

@@ -119,10 +119,10 @@ def _product(matrix: Any) -> Product:
     it, in a third of the time of scipy's."""
     import torch
 
-    if not torch.backends.mkl.is_available():
+    if not torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
         return lambda x: torch.from_numpy(np.asarray(matrix @ x.numpy()))
-    parts = (torch.from_numpy(part) for part in (matrix.indptr, matrix.indices, matrix.data))
+    rows, columns, values = map(torch.from_numpy, (matrix.indptr, matrix.indices, matrix.data))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse")
-        inner = torch.sparse_csr_tensor(*parts, size=matrix.shape, check_invariants=False)
+        inner = torch.sparse_csr_tensor(rows, columns, values, matrix.shape, check_invariants=False)
     return lambda x: inner @ x

@@ -29,7 +29,7 @@ def _beyond() -> Ints:
             # The three corners of the shared triangle, here and there.
             rest = [np.delete(np.arange(4), corner) for corner in (out, into)]
             there = dict(zip(*rest, strict=True))
-            for edge in np.flatnonzero((out != EDGES).all(axis=1)):
+            for edge in np.flatnonzero(np.all(out != EDGES, axis=1)):
                 same = EDGE_OF[there[EDGES[edge, 0]], there[EDGES[edge, 1]]]
                 table[out, into, edge] = 2 * same + (OPPOSITE[same, 0] == into)
     return table
