@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-stages side-by-side table check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -55,13 +55,21 @@ $(VENV)/tested-with: $(VENV)/installed
 	$(PIP) -e '.[test]'
 	@touch $@
 
+$(VENV)/benched-with: $(VENV)/installed
+	$(PIP) -e '.[bench]'
+	@touch $@
+
 test: $(VENV)/tested-with
 	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest
 test-all: $(VENV)/tested-with
 	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -m ''
 
-bench: $(VENV)/tested-with
+bench: $(VENV)/benched-with
 	$(BIN)/python tests/benchmarks/interface.py
+
+# The linear systems of the training, by several solvers.
+bench-solvers: $(INPUT) $(VENV)/benched-with
+	$(BIN)/python tests/benchmarks/solvers.py $(INPUT) -n $(RESOLUTIONS)
 
 # Time, memory and their growth, stage by stage.
 RESOLUTIONS ?= 25 50

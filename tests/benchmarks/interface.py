@@ -1,8 +1,8 @@
 """Diagram and interface faces by each backend, against scipy.spatial.Voronoi and against Voro++.
 
 Run with ``make bench``. All run in turn in this process, rounds interleaved; the ratios are what
-counts. Voro++ (pyvoro2, one thread), the engine family of the paper, finds every cell with its
-faces; as with scipy.spatial.Voronoi the faces between the labels are then picked.
+counts. Voro++ (pyvoro2 on one thread, multivoro on two), the engine family of the paper, finds
+every cell with its faces; as with scipy.spatial.Voronoi those between the labels are then picked.
 """
 
 from __future__ import annotations
@@ -63,11 +63,25 @@ def voros(generators: np.ndarray, inside: np.ndarray) -> int:
     return faces
 
 
+def threaded(generators: np.ndarray, inside: np.ndarray) -> int:
+    import multivoro
+
+    limits = np.stack([generators.min(axis=0) - 1.0, generators.max(axis=0) + 1.0])
+    radii = np.ones(len(generators))
+    cells = multivoro.compute_voronoi(generators, limits=limits, radii=radii, n_threads=2)
+    faces = 0
+    for cell in (cells[i] for i in np.flatnonzero(inside)):
+        rings, beyond = cell.get_face_vertices(), np.asarray(cell.get_neighbors())
+        faces += len([rings[k] for k in np.flatnonzero(beyond >= 0) if not inside[beyond[k]]])
+    return faces
+
+
 ENGINES = {
     "scipy": by_backend("scipy"),
     "shull": by_backend("shull"),
     "scipy.spatial.Voronoi": scipys,
-    "Voro++ (pyvoro2)": voros,
+    "Voro++ (pyvoro2, 1 thread)": voros,
+    "Voro++ (multivoro, 2 threads)": threaded,
 }
 
 
