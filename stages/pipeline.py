@@ -237,8 +237,10 @@ def command_line(session: Session, stage: Stage, params: Params, source: Identit
     """A command line that repeats a stage, from the folder that holds the run folder."""
     words = ["vorolight", stage.name]
     if stage.name == "classify":
-        place = source.name if source.path is None else relative(source.path, _beside(session))
-        words.append(place)
+        if source.path is not None:
+            words.append(relative(source.path, _beside(session)))
+        else:
+            words += [source.name] if source.built_in else ["--field", source.name]
     for option in options(stage.params):
         value = getattr(params, option.name)
         if value == option.default:

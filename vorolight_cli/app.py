@@ -23,7 +23,18 @@ from vorolight.stages.errors import GateFailure, UsageError, VorolightError
 from . import summary
 from .console import Console, table
 from .parameters import Function, add_options, build, parameter_names
-from .session import Common, Input, Json, Quiet, Run, Verbose, Verify, common_options
+from .session import (
+    Common,
+    Field,
+    Input,
+    Json,
+    Quiet,
+    Run,
+    Verbose,
+    Verify,
+    common_options,
+    identity_of,
+)
 
 HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -255,14 +266,12 @@ def report(
 @app.command()
 @guarded
 def status(
-    input: Input = None, run: Run = None, json: Json = False, verify: Verify = False,
-    verbose: Verbose = False,
+    input: Input = None, field: Field = None, run: Run = None, json: Json = False,
+    verify: Verify = False, verbose: Verbose = False,
 ) -> None:  # fmt: skip
     """Say for each stage whether it is done, or why it would run again."""
-    from vorolight.stages.sources.resolve import identify
-
-    identity = None if input is None else identify(input)
-    folder = RunFolder.locate(run, None if identity is None else identity.name)
+    identity = identity_of(input, field)
+    folder = RunFolder.locate(run, None if identity is None else identity.stem)
     session = standing.Session(folder=folder, input=identity, verify=verify)
     console = Console(1, json, True)
     rows = [("stage", "state", "why", "seconds")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,9 +15,22 @@ from vorolight.stages.errors import UsageError
 from .console import Console
 from .parameters import read_config
 
+if TYPE_CHECKING:
+    from vorolight.stages.sources.resolve import Identity
+
 Input = Annotated[
     str | None,
-    typer.Argument(help="A mesh file, or a built-in field: heart, cube-cavity, sphere, torus."),
+    typer.Argument(
+        help="A mesh file, or a field: heart, sphere, torus, genus-two, gyroid, cube-cavity, "
+        "or a formula."
+    ),
+]
+Field = Annotated[
+    str | None,
+    typer.Option(
+        "--field",
+        help="In place of INPUT: a formula in x, y and z, negative inside: 'x**2+y**2+z**2-1'.",
+    ),
 ]
 Run = Annotated[
     Path | None,
@@ -66,8 +79,20 @@ class Common:
     config: dict[str, dict[str, Any]]
 
 
+def identity_of(input: str | None, field: str | None) -> Identity | None:
+    """The input that was given, if any. Raises UsageError for two, InputError for a bad one."""
+    from vorolight.stages.sources.resolve import identify, identify_field
+
+    if input is not None and field is not None:
+        raise UsageError(f"--field: there is an INPUT ({input}) already; give one of them")
+    if field is not None:
+        return identify_field(field)
+    return None if input is None else identify(input)
+
+
 def common_options(
     input: Input = None,
+    field: Field = None,
     run: Run = None,
     seed: Seed = None,
     threads: Threads = None,
@@ -85,7 +110,6 @@ def common_options(
     config: Config = None,
 ) -> Common:
     """What every stage command can be told, besides the stage's own options."""
-    from vorolight.stages.sources.resolve import identify
     from vorolight.stages.voronoi.delaunay import BACKENDS
 
     if device not in ("cpu", "cuda"):
@@ -93,9 +117,9 @@ def common_options(
     if backend not in BACKENDS:
         raise UsageError(f"--backend {backend}: must be {' or '.join(BACKENDS)}")
     console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
-    identity = None if input is None else identify(input)
+    identity = identity_of(input, field)
     session = standing.Session(
-        folder=RunFolder.locate(run, None if identity is None else identity.name),
+        folder=RunFolder.locate(run, None if identity is None else identity.stem),
         input=identity,
         seed=seed or 0,
         threads=threads or standing.available_threads(),

@@ -1,9 +1,9 @@
-"""Built-in implicit fields: negative inside, zero on the surface."""
+"""Implicit fields, built in or written as a formula: negative inside, zero on the surface."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, PolygonMesh
-
-Formula = Callable[[Any, Any, Any, ModuleType], Any]
+from .expression import Formula, parse, search_box
 
 
 def _heart(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
@@ -39,45 +38,72 @@ def _torus(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
     return xp.sqrt(ring * ring + z * z) - 0.4
 
 
+def _gyroid(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
+    """One of the gyroid's two labyrinths, three periods of it in a ball."""
+    wave = xp.sin(x) * xp.cos(y) + xp.sin(y) * xp.cos(z) + xp.sin(z) * xp.cos(x)
+    return xp.maximum(wave, xp.sqrt(x * x + y * y + z * z) - 1.5 * np.pi)
+
+
+def _genus_two(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
+    """A solid figure of eight: a tube around Gerono's lemniscate ``x^2 (1 - x^2) = y^2``."""
+    curve = x * x * (1 - x * x) - y * y
+    return curve * curve + 0.5 * z * z - 0.025
+
+
 @dataclass(frozen=True)
-class BuiltIn:
-    """A formula, the half-edge of the cube that is searched, and a radius that holds the shape."""
+class Field:
+    """A formula, a box ``(2, 3)`` that holds what is inside, and the radius of a ball about the
+    box's middle that does."""
 
     formula: Formula
-    half_edge: float
+    box: Floats
     radius: float
 
 
+def _cube(formula: Formula, half_edge: float, radius: float) -> Field:
+    return Field(formula, np.array([[-half_edge] * 3, [half_edge] * 3]), radius)
+
+
 FIELDS = {
-    "heart": BuiltIn(_heart, 1.5, 1.45),
-    "cube-cavity": BuiltIn(_cube_cavity, 0.75, 0.87),
-    "sphere": BuiltIn(_sphere, 1.5, 1.01),
-    "torus": BuiltIn(_torus, 1.75, 1.41),
+    "heart": _cube(_heart, 1.5, 1.45),
+    "cube-cavity": _cube(_cube_cavity, 0.75, 0.87),
+    "sphere": _cube(_sphere, 1.5, 1.01),
+    "torus": _cube(_torus, 1.75, 1.41),
+    "gyroid": _cube(_gyroid, 5.0, 4.72),
+    "genus-two": _cube(_genus_two, 1.3, 1.4),
 }
 
 
 @dataclass(frozen=True)
 class FieldSource:
-    """One of the built-in fields."""
+    """A built-in field, or the formula that is its name."""
 
     name: str
     kind: str = "field"
     path: Path | None = None
 
+    @cached_property
+    def field(self) -> Field:
+        """Raises InputError for a formula that is not allowed or has no bounded inside."""
+        if self.name in FIELDS:
+            return FIELDS[self.name]
+        formula = parse(self.name)
+        box = search_box(lambda at: np.asarray(formula(*at.T, np)), self.name)
+        return Field(formula, box, 0.5 * float(np.linalg.norm(box[1] - box[0])))
+
     def bounding_box(self) -> Floats:
-        half = FIELDS[self.name].half_edge
-        return np.array([[-half] * 3, [half] * 3])
+        return self.field.box.copy()
 
     def value(self, points: Floats) -> Floats:
         """The level-set value F at ``points (N, 3)``, ``(N,)``."""
-        return np.asarray(FIELDS[self.name].formula(points[:, 0], points[:, 1], points[:, 2], np))
+        return np.asarray(self.field.formula(points[:, 0], points[:, 1], points[:, 2], np))
 
     def level(self, points: Any) -> Any:
         """F as a differentiable function of a torch tensor ``(N, 3)``."""
         import torch
 
         x, y, z = points.unbind(1)
-        return FIELDS[self.name].formula(x, y, z, torch)
+        return self.field.formula(x, y, z, torch)
 
     def gradient(self, points: Floats) -> tuple[Floats, Floats]:
         """F ``(N,)`` and its gradient ``(N, 3)`` at ``points (N, 3)``."""
@@ -86,7 +112,8 @@ class FieldSource:
         at = torch.tensor(points, requires_grad=True)
         value = self.level(at)
         (slope,) = torch.autograd.grad(value.sum(), at)
-        return value.detach().numpy(), slope.numpy()
+        # Where a root's argument is zero there is none.
+        return value.detach().numpy(), np.nan_to_num(slope.numpy(), posinf=0.0, neginf=0.0)
 
     def mean_curvature(self, points: Floats) -> Floats:
         """``H = div(grad F / |grad F|) / 2`` at ``points (N, 3)``, by automatic differentiation."""
@@ -115,7 +142,7 @@ class FieldSource:
         Lines that are uniform in direction and offset meet every piece of surface in proportion to
         its area (Cauchy-Crofton), so no mesh is needed and none biases the sample.
         """
-        radius = FIELDS[self.name].radius
+        radius, centre = self.field.radius, self.field.box.mean(axis=0)
         steps = np.linspace(-radius, radius, 200)
         found: list[Floats] = []
         total = 0
@@ -126,6 +153,7 @@ class FieldSource:
             offset -= np.einsum("ij,ij->i", offset, direction)[:, None] * direction
             offset /= np.linalg.norm(offset, axis=1, keepdims=True)
             offset *= radius * np.sqrt(random.random((4096, 1)))
+            offset += centre
             points = offset[:, None] + steps[:, None] * direction[:, None]
             below = (self.value(points.reshape(-1, 3)) < 0).reshape(4096, -1)
             line, step = np.nonzero(below[:, 1:] != below[:, :-1])

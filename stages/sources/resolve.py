@@ -31,6 +31,18 @@ class Identity:
     bytes: int | None
     sha256: str | None
 
+    @property
+    def stem(self) -> str:
+        """What the run folder is called after."""
+        return self.name if self.path is not None or self.built_in else "formula"
+
+    @property
+    def built_in(self) -> bool:
+        """Whether it is one of the named fields."""
+        from .fields import FIELDS
+
+        return self.path is None and self.name in FIELDS
+
     def open(self) -> Source:
         """The source. Raises InputError when the file cannot be used."""
         from .fields import FieldSource
@@ -40,20 +52,36 @@ class Identity:
 
 
 def identify(text: str) -> Identity:
-    """The input called ``text``: an existing path wins over a built-in field of that name.
+    """The input called ``text``: an existing path wins over a built-in field of that name, and
+    that over a formula.
 
-    Raises InputError when it is neither, or a file that cannot be read.
+    Raises InputError when it is none of them, or a file that cannot be read.
     """
+    from .expression import looks_like_one
     from .fields import FIELDS
 
     path = Path(text)
-    if path.exists():
+    try:
+        there = path.exists()
+    except OSError:  # a formula may be too long for a path
+        there = False
+    if there:
         if not path.is_file():
             raise InputError(f"{path}: is no file; give a mesh file")
         return Identity("mesh", path.stem, path, path.stat().st_size, fingerprint.of_file(path))
-    if text in FIELDS:
-        return Identity("field", text, None, None, None)
+    if text in FIELDS or looks_like_one(text):
+        return identify_field(text)
     raise InputError(
         f"{text}: no such file, and no built-in field of that name ({', '.join(sorted(FIELDS))}); "
         "check the path"
     )
+
+
+def identify_field(text: str) -> Identity:
+    """The field called ``text``, or with ``text`` as its formula. Raises InputError."""
+    from .expression import parse
+    from .fields import FIELDS
+
+    if text not in FIELDS:
+        parse(text)
+    return Identity("field", text, None, None, None)
