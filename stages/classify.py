@@ -66,7 +66,7 @@ def run(context: Context) -> Outcome:
 
 STAGE = Stage(
     name="classify",
-    version=2,
+    version=3,
     params=Params,
     run=run,
     memory=lambda context: peak(240.0, 240.0, 0.25, float(context.params.n_init) ** 3),

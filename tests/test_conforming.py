@@ -104,6 +104,24 @@ def test_derivatives_of_polygons_against_finite_differences(tmp_path: Path) -> N
     assert_derivatives(problem, state)
 
 
+@pytest.mark.parametrize("mkl", [True, False])
+def test_a_step_is_the_least_squares_solution(mkl: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    if not mkl:  # as where torch comes without it
+        monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: False)
+    random = np.random.default_rng(0)
+    matrix = random.normal(size=(300, 40)) * (random.random((300, 40)) < 0.3)
+    residual = random.normal(size=300)
+    columns = np.broadcast_to(np.arange(40), (300, 40))
+    damping = 0.05
+    step = GaussNewton([Block.dense(columns, matrix, residual)], np.ones(40, bool)).step(damping)
+    shift = damping * (matrix**2).sum(axis=0).mean()
+    exact = np.linalg.solve(matrix.T @ matrix + shift * np.eye(40), -matrix.T @ residual)
+    # The gradients stop at a hundredth of the gradient; the matrix is well conditioned.
+    assert np.linalg.norm(step - exact) < 0.03 * np.linalg.norm(exact)
+
+
 def test_unknowns_that_are_not_free_stay() -> None:
     columns = np.array([[0, 1], [1, 2], [0, 2]])
     values = np.array([[1.0, 2.0], [1.0, -1.0], [3.0, 1.0]])

@@ -23,7 +23,7 @@ def test_a_formula_is_worth_what_it_says_and_its_gradient_is_exact() -> None:
     points = np.random.default_rng(0).uniform(0.3, 1.2, (50, 3))
     x, y, z = points.T
     expected = -(x**2) / 3 + np.maximum(np.maximum(np.sin(y), 0.2), z) * np.exp(-np.abs(z))
-    expected += -np.sqrt(2) ** 3 + np.pi * x / y + np.tanh(x + 1)
+    expected += -(np.sqrt(2) ** 3) + np.pi * x / y + np.tanh(x + 1)
     assert np.allclose(formula(x, y, z, np), expected, rtol=1e-14)
     at = torch.tensor(points, requires_grad=True)
     value = formula(*at.unbind(1), torch)

@@ -17,6 +17,8 @@ from vorolight.stages.sources.fields import FIELDS, FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.mesh_file import load
 from vorolight.stages.sources.parity import RayParity
+from vorolight.stages.sources.true_surface import true_surface
+from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.voronoi.interface import interface
 from vorolight.stages.voronoi.reflection import reflect
 
@@ -67,12 +69,53 @@ def test_parity_of_nested_spheres_and_no_triangles() -> None:
     assert not nothing.inside(np.zeros((3, 3))).any()
 
 
-def test_open_meshes_take_a_vote_and_say_so(tmp_path: Path) -> None:
+def cut_sphere(path: Path, turned: int = 0, doubled: int = 0) -> MeshSource:
+    """A unit sphere without its cap above z = 0.8, with triangles turned over or there twice."""
     vertices, triangles = sphere_mesh()
-    source = MeshSource(write_obj(tmp_path / "open.obj", vertices, triangles[5:]))
+    triangles = triangles[vertices[triangles].mean(axis=1)[:, 2] < 0.8]
+    triangles = np.concatenate([triangles, triangles[:doubled]])
+    triangles[:turned] = triangles[:turned, ::-1]
+    return MeshSource(write_obj(path, vertices, triangles))
+
+
+@pytest.mark.parametrize(("turned", "doubled"), [(0, 0), (300, 0), (0, 200), (100, 200)])
+def test_inside_of_an_open_mesh(tmp_path: Path, turned: int, doubled: int) -> None:
+    source = cut_sphere(tmp_path / "cut.obj", turned, doubled)
     assert source.open_edges > 0
+    # Of triangles that are there twice and differently turned either may be the one that counts.
+    assert source.winding.turned in ((turned,) if not doubled else (0, turned))
+    assert source.winding.doubled == doubled
     assert "not closed" in source.warnings()[0]
-    assert source.inside(np.array([[0.1, 0.2, 0.1], [2, 0, 0]])).tolist() == [True, False]
+    assert ("there twice" in source.warnings()[0]) == (doubled > 0)
+    points = np.random.default_rng(0).uniform(-1.2, 1.2, (4000, 3))
+    radius = np.linalg.norm(points, axis=1)
+    # The mesh's own thickness of facets aside, and the hole's neighbourhood.
+    clear = (np.abs(radius - 1) > 0.03) & (np.hypot(radius - 0.9, points[:, 2] - 0.8) > 0.35)
+    clear &= points[:, 2] < 0.7
+    assert np.array_equal(source.inside(points[clear]), radius[clear] < 1)
+    assert 0.8 < source.sureness < 1
+    low = source.bounding_box()[0]
+    shape = (12, 12, 12)
+    met = source.may_cross(low - 0.3, 0.2, shape)
+    corner = np.array(np.unravel_index(np.flatnonzero(~met), shape)).T
+    inside = [
+        source.inside(low - 0.3 + 0.2 * (corner + np.random.default_rng(k).random(corner.shape)))
+        for k in range(4)
+    ]
+    assert all(np.array_equal(inside[0], other) for other in inside)
+
+
+def test_a_hole_is_spanned(tmp_path: Path) -> None:
+    source = cut_sphere(tmp_path / "cut.obj")
+    surface = true_surface(source, ModelFrame(np.zeros(3), 0.1), threads=2)
+    # A disc of radius 0.6 closes it at z = 0.8; the level of a half bulges out of it a little.
+    foot, normal = surface.closest(np.array([[0.0, 0.0, 20.0], [2.0, 1.0, 11.0]]))
+    assert ((foot[:, 2] > 7.5) & (foot[:, 2] < 10)).all()
+    assert (normal[:, 2] > 0.8).all()
+    across = np.hypot(*surface.samples[:, :2].T)
+    share = ((surface.samples[:, 2] > 7.2) & (across < 4)).mean()
+    # Of the sphere that is left, 3.6 pi in size, 0.16 pi.
+    assert share == pytest.approx(0.16 / 3.8, rel=0.3)
 
 
 @pytest.mark.parametrize("name", sorted(FIELDS))
@@ -200,4 +243,5 @@ def test_cells_without_surface_are_in_or_out(tmp_path: Path) -> None:
     assert 0 < samples[0].sum() < len(index)
     assert crossed.mean() < 0.6
     opened = MeshSource(write_ply(tmp_path / "open.ply", vertices, triangles[1:]))
-    assert opened.may_cross(origin, edge, shape).all()
+    # Beside the hole the inside ends without a triangle.
+    assert (opened.may_cross(origin, edge, shape) >= crossed).all()

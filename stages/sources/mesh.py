@@ -1,4 +1,4 @@
-"""A mesh as a source: inside by winding number, by ray parity where it is open."""
+"""A mesh as a source: inside by winding number, the generalised one where it is open."""
 
 from __future__ import annotations
 
@@ -14,9 +14,16 @@ from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, edges, split_pinched, topology
 from .mesh_file import load
 from .parity import RayParity
+from .winding import WindingNumber, winding_number
 
 ROUNDING = 1e-6
 """In cells."""
+LEVEL = 0.5
+"""Winding number from which a point is inside an open mesh."""
+UNSURE = 0.25
+"""What is nearer to LEVEL than this may be inside or not."""
+SAMPLES = 20_000
+"""Points that are asked how sure they are."""
 
 
 class MeshSource:
@@ -52,23 +59,25 @@ class MeshSource:
         )
 
     @cached_property
-    def _rays(self) -> list[RayParity]:
-        directions = (0,) if self.open_edges == 0 else (0, 1, 2)
-        return [RayParity(self.vertices, self.triangles, d) for d in directions]
+    def _rays(self) -> RayParity:
+        return RayParity(self.vertices, self.triangles)
+
+    @cached_property
+    def winding(self) -> WindingNumber:
+        """Of an open mesh."""
+        rays = [RayParity(self.vertices, self.triangles, direction) for direction in range(3)]
+        return winding_number(self.vertices, self.triangles, rays)
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
-        """The winding number is not zero; on an open mesh, where there is none, the majority of
-        three rays' parities."""
+        """The winding number is not zero; on an open mesh, where it is no integer, it is more than
+        a half."""
         if self.open_edges == 0:
-            return np.asarray(self._rays[0].winding(points) != 0)
-        votes = np.sum([rays.inside(points) for rays in self._rays], axis=0)
-        return np.asarray(votes * 2 > len(self._rays))
+            return np.asarray(self._rays.winding(points) != 0)
+        return np.asarray(self.winding(points) > LEVEL)
 
     def may_cross(self, origin: Floats, edge: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """The cells that meet the box of a triangle; all if the mesh is open, as the inside then
-        ends anywhere."""
-        if self.open_edges:
-            return np.ones(shape, dtype=bool)
+        """The cells that meet the box of a triangle; of an open mesh also those beside them, and
+        those whose winding number is near a half."""
         corners = (self.vertices[self.triangles] - origin) / edge
         # A little more on every side: rounding must not lose a cell.
         low, high = corners.min(axis=1) - ROUNDING, corners.max(axis=1) + ROUNDING
@@ -82,7 +91,24 @@ class MeshSource:
             np.add.at(count, tuple(at.T), (-1) ** sum(corner))
         for axis in range(3):
             np.cumsum(count, axis=axis, out=count)
-        return np.asarray(count[:-1, :-1, :-1] > 0)
+        met = count[:-1, :-1, :-1] > 0
+        if self.open_edges == 0:
+            return np.asarray(met)
+        from scipy.ndimage import binary_dilation
+
+        centres = origin + edge * (np.argwhere(np.ones(shape, dtype=bool)) + 0.5)
+        near = np.abs(self.winding(centres) - LEVEL).reshape(shape) < UNSURE
+        return np.asarray(binary_dilation(met, np.ones((3, 3, 3))) | near)
+
+    @cached_property
+    def sureness(self) -> float:
+        """Share of the inside, within the bounding box, that is so without doubt."""
+        low, high = self.bounding_box()
+        points = low + np.random.default_rng(0).random((SAMPLES, 3)) * (high - low)
+        if self.open_edges == 0:
+            return 1.0
+        above = self.winding(points) - LEVEL
+        return float((above > UNSURE).sum() / max(1, (above > 0).sum()))
 
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         return geometry.sample_triangles(self.vertices, self.triangles, count, random)[0]
@@ -112,12 +138,24 @@ class MeshSource:
             "faces": self.polygons.face_count,
             "polygons_kept": self.polygons_kept,
             "open_edges": self.open_edges,
+            "doubled_faces": self.winding.doubled if self.open_edges else 0,
+            "turned_faces": self.winding.turned if self.open_edges else 0,
+            "sureness": round(self.sureness, 4),
         }
 
     def warnings(self) -> list[str]:
         if self.open_edges == 0:
             return []
+        taken = [
+            f"{count} {what}"
+            for count, what in (
+                (self.winding.doubled, "faces that are there twice count once"),
+                (self.winding.turned, "faces are taken the other way round"),
+            )
+            if count
+        ]
         return [
-            f"the mesh is not closed ({self.open_edges} bad edges): inside is the majority of "
-            "three rays and may be wrong near the holes"
+            f"the mesh is not closed ({self.open_edges} bad edges): inside is where its winding "
+            f"number is above {LEVEL:g}, beyond doubt in {100 * self.sureness:.1f} % of it"
+            + "".join(f"; {what}" for what in taken)
         ]

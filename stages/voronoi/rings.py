@@ -88,7 +88,10 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         corner = OPPOSITE[edge, side]
         beyond = neighbours[tet, corner]
         if (beyond < 0).any():
-            raise NumericalFailure("a Voronoi face of the surface is unbounded")
+            raise NumericalFailure(
+                "a Voronoi face of the surface is unbounded, as generators strayed; raise -n, or close "
+                "the openings of the input"
+            )
         then = BEYOND[corner, back[tet, corner], edge]
         leaving[:, side] = 2 * incidence[beyond, then >> 1] + (then & 1)
     following = leaving.reshape(-1)
