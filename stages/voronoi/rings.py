@@ -89,8 +89,8 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         beyond = neighbours[tet, corner]
         if (beyond < 0).any():
             raise NumericalFailure(
-                "a Voronoi face of the surface is unbounded, as generators strayed; raise -n, or close "
-                "the openings of the input"
+                "a Voronoi face of the surface is unbounded, as generators strayed; raise -n, or "
+                "close the openings of the input"
             )
         then = BEYOND[corner, back[tet, corner], edge]
         leaving[:, side] = 2 * incidence[beyond, then >> 1] + (then & 1)
