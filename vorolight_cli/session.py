@@ -22,7 +22,7 @@ Input = Annotated[
     str | None,
     typer.Argument(
         help="A mesh file, or a field: heart, sphere, torus, genus-two, gyroid, cube-cavity, "
-        "or a formula."
+        "a formula, or samples (.npy, .npz)."
     ),
 ]
 Field = Annotated[

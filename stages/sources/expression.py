@@ -93,8 +93,9 @@ class _Compiler:
 
     def compile(self, node: ast.AST) -> Value:
         """What ``node`` is worth, given x, y, z and the module to compute with."""
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            return self._constant(node.value)
+        number = node.value if isinstance(node, ast.Constant) else None
+        if isinstance(number, int | float) and not isinstance(number, bool):
+            return self._constant(number)
         if isinstance(node, ast.Name) and node.id in CONSTANTS:
             return self._constant(CONSTANTS[node.id])
         if isinstance(node, ast.Name) and node.id in ("x", "y", "z"):

@@ -1,4 +1,4 @@
-"""Implicit fields, built in or written as a formula: negative inside, zero on the surface."""
+"""Implicit fields, built in, a formula or samples: negative inside, zero on the surface."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, PolygonMesh
 from .expression import Formula, parse, search_box
+from .grid import load
 
 
 def _heart(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
@@ -76,7 +77,7 @@ FIELDS = {
 
 @dataclass(frozen=True)
 class FieldSource:
-    """A built-in field, or the formula that is its name."""
+    """A built-in field, the formula that is its name, or the samples in a file."""
 
     name: str
     kind: str = "field"
@@ -84,11 +85,18 @@ class FieldSource:
 
     @cached_property
     def field(self) -> Field:
-        """Raises InputError for a formula that is not allowed or has no bounded inside."""
+        """Raises InputError for a formula that is not allowed or has no bounded inside, and for a
+        file that holds no field."""
+        if self.path is not None:
+            sampled = load(self.path)
+            radius = 0.5 * float(np.linalg.norm(sampled.box[1] - sampled.box[0]))
+            return Field(sampled, sampled.box, radius)
         if self.name in FIELDS:
             return FIELDS[self.name]
         formula = parse(self.name)
-        box = search_box(lambda at: np.asarray(formula(*at.T, np)), self.name)
+        box = search_box(
+            lambda at: np.asarray(formula(at[:, 0], at[:, 1], at[:, 2], np)), self.name
+        )
         return Field(formula, box, 0.5 * float(np.linalg.norm(box[1] - box[0])))
 
     def bounding_box(self) -> Floats:

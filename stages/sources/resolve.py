@@ -48,7 +48,10 @@ class Identity:
         from .fields import FieldSource
         from .mesh import MeshSource
 
-        return FieldSource(self.name) if self.path is None else MeshSource(self.path)
+        if self.kind == "field":
+            return FieldSource(self.name, path=self.path)
+        assert self.path is not None
+        return MeshSource(self.path)
 
 
 def identify(text: str) -> Identity:
@@ -59,6 +62,7 @@ def identify(text: str) -> Identity:
     """
     from .expression import looks_like_one
     from .fields import FIELDS
+    from .grid import SUFFIXES
 
     path = Path(text)
     try:
@@ -68,7 +72,8 @@ def identify(text: str) -> Identity:
     if there:
         if not path.is_file():
             raise InputError(f"{path}: is no file; give a mesh file")
-        return Identity("mesh", path.stem, path, path.stat().st_size, fingerprint.of_file(path))
+        kind = "field" if path.suffix.lower() in SUFFIXES else "mesh"
+        return Identity(kind, path.stem, path, path.stat().st_size, fingerprint.of_file(path))
     if text in FIELDS or looks_like_one(text):
         return identify_field(text)
     raise InputError(
