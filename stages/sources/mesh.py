@@ -103,10 +103,10 @@ class MeshSource:
     @cached_property
     def sureness(self) -> float:
         """Share of the inside, within the bounding box, that is so without doubt."""
-        low, high = self.bounding_box()
-        points = low + np.random.default_rng(0).random((SAMPLES, 3)) * (high - low)
         if self.open_edges == 0:
             return 1.0
+        low, high = self.bounding_box()
+        points = low + np.random.default_rng(0).random((SAMPLES, 3)) * (high - low)
         above = self.winding(points) - LEVEL
         return float((above > UNSURE).sum() / max(1, (above > 0).sum()))
 
