@@ -104,6 +104,16 @@ def test_derivatives_of_polygons_against_finite_differences(tmp_path: Path) -> N
     assert_derivatives(problem, state)
 
 
+def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
+    centres = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 3, 0]])
+    columns, values = conforming.power_gradient(
+        np.array([[1.0, 1, 0]]), np.array([[0, 1, 2]]), np.array([3]), centres, np.ones(4)
+    )
+    assert (values[0, :12] == 0).all()
+    assert values[0, 12:].tolist() == [-2, 4, 0, -2]
+    assert columns[0, 12:].tolist() == [12, 13, 14, 15]
+
+
 @pytest.mark.parametrize("mkl", [True, False])
 def test_a_step_is_the_least_squares_solution(mkl: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     import torch

@@ -13,6 +13,10 @@ import numpy as np
 
 from ..surface.polygons import Floats, Ints
 
+FLAT = 1e-6
+"""Volume of the arms from a generator to its centres, over their lengths, below which the generator
+does not follow them."""
+
 
 @dataclass(frozen=True)
 class Pairs:
@@ -54,11 +58,16 @@ def power_gradient(
 
     Row i: generator ``points[i]`` of a face with corners ``own[i] (3,)`` and sphere ``spheres[i]``.
     Returns ``(R, 16)`` indices into ``(c_v, r_v)`` laid out as ``(V, 4)`` and the derivatives: a
-    generator stays on its three spheres, ``(p - c_k) (dp - dc_k) = r_k dr_k``.
+    generator stays on its three spheres, ``(p - c_k) (dp - dc_k) = r_k dr_k``; one in the plane of
+    its centres is taken to stay where it is.
     """
     arm = points[:, None] - centres[own]
     away = points - centres[spheres]
-    multiplier = 2 * np.einsum("ij,ijk->ik", away, np.linalg.inv(arm))
+    # The inverse of the arms; none where they lie in a plane, as at a triangle without area.
+    cross = np.cross(arm[:, [1, 2, 0]], arm[:, [2, 0, 1]])
+    volume = np.einsum("ij,ij->i", arm[:, 0], cross[:, 0])
+    flat = np.abs(volume) <= FLAT * np.prod(np.linalg.norm(arm, axis=2), axis=1)
+    multiplier = 2 * np.einsum("ij,ikj->ik", away, cross) / np.where(flat, np.inf, volume)[:, None]
     moved = np.concatenate(
         [multiplier[:, :, None] * arm, (multiplier * radii[own])[:, :, None]], axis=2
     )

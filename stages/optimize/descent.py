@@ -58,14 +58,14 @@ def descend(
         problem.prepare(state, factor)
         residuals = problem.residuals(state)
         total = sum(float(part @ part) for part in residuals.values())
+        if not np.isfinite(total):
+            raise NumericalFailure("sphere-train: a loss is not finite; lower the weights")
         losses.append([float(residuals[key] @ residuals[key]) / problem.count for key in TERMS])
         system = GaussNewton(problem.blocks(state, residuals), problem.free)
         for _ in range(TRIALS):
             moved = problem.moved(state, system.step(damping))
             after = sum(float(part @ part) for part in problem.residuals(moved).values())
-            if not np.isfinite(after):
-                raise NumericalFailure("sphere-train: a loss is not finite; lower the weights")
-            if after < total:
+            if after < total:  # false also where it is not finite
                 state = moved
                 damping = max(damping / EASIER, DAMPING[1])
                 break

@@ -40,9 +40,10 @@ def _torus(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
 
 
 def _gyroid(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
-    """One of the gyroid's two labyrinths, three periods of it in a ball."""
+    """One of the gyroid's two labyrinths, a period and a half of it in a ball, rims rounded."""
     wave = xp.sin(x) * xp.cos(y) + xp.sin(y) * xp.cos(z) + xp.sin(z) * xp.cos(x)
-    return xp.maximum(wave, xp.sqrt(x * x + y * y + z * z) - 1.5 * np.pi)
+    ball = xp.sqrt(x * x + y * y + z * z) - 1.5 * np.pi
+    return 0.5 * (wave + ball + xp.sqrt((wave - ball) * (wave - ball) + 1.0))
 
 
 def _genus_two(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
