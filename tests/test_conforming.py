@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from conftest import Cli, random_rotation, sphere_mesh, surface_of, torus_mesh, write_ply
 
+from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.losses import conforming
-from vorolight.stages.optimize.descent import Problem
+from vorolight.stages.optimize.descent import TERMS, Problem, descend
 from vorolight.stages.optimize.least_squares import Block, GaussNewton
 from vorolight.stages.optimize.polygons import Paired, PairedProblem
 from vorolight.stages.optimize.sphere_problem import SphereProblem
@@ -112,6 +113,39 @@ def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
     assert (values[0, :12] == 0).all()
     assert values[0, 12:].tolist() == [-2, 4, 0, -2]
     assert columns[0, 12:].tolist() == [12, 13, 14, 15]
+
+
+class Cliff:
+    """``(x - 3)^2`` up to a point, beyond which there is no finite value."""
+
+    free, count = np.ones(1, bool), 1
+
+    def __init__(self, edge: float) -> None:
+        self.edge = edge
+
+    def prepare(self, state: float, factor: float) -> None:
+        pass
+
+    def residuals(self, state: float) -> dict[str, np.ndarray]:
+        value = np.array([state - 3.0 if state <= self.edge else np.inf])
+        return {name: value if name == "shape" else np.zeros(1) for name in TERMS}
+
+    def blocks(self, state: float, residuals: dict[str, np.ndarray]) -> list[Block]:
+        return [Block.dense(np.zeros((1, 1), int), np.ones((1, 1)), residuals["shape"])]
+
+    def moved(self, state: float, step: np.ndarray) -> float:
+        return state + float(step[0])
+
+
+def test_a_step_to_what_is_not_finite_is_not_taken() -> None:
+    state, _, _ = descend(Cliff(5.0), 0.0, [1.0] * 8, 0.01)
+    assert state == pytest.approx(3, abs=1e-3)
+    # Damping of 0.01, 0.05 and 0.25 leads too far, 1.25 to this side of the edge.
+    state, losses, _ = descend(Cliff(1.5), 0.0, [1.0], 0.01)
+    assert state == pytest.approx(3 / 2.25)
+    assert np.isfinite(losses).all()
+    with pytest.raises(NumericalFailure, match="not finite"):
+        descend(Cliff(-1.0), 0.0, [1.0], 0.01)
 
 
 @pytest.mark.parametrize("mkl", [True, False])

@@ -48,6 +48,7 @@ class Problem(Protocol[State]):
         ...
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite is looked for
 def descend(
     problem: Problem[State], state: State, factors: Sequence[float], damping: float
 ) -> tuple[State, Floats, float]:

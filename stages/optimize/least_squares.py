@@ -95,7 +95,7 @@ def conjugate_gradients(product: Product, right: Tensor, inverse: Tensor) -> Ten
     """``x (U,)`` with ``product(x)`` about ``right``, preconditioned by a diagonal's ``inverse``.
 
     In torch throughout: where its threads take turns with those of numpy's library, as they would
-    with scipy's, all of it takes several times as long.
+    with scipy's, each waits for the other's to stop spinning.
     """
     x, rest = right.new_zeros(right.shape), right.clone()
     close = TOLERANCE * right.norm()
@@ -116,7 +116,7 @@ def conjugate_gradients(product: Product, right: Tensor, inverse: Tensor) -> Ten
 
 def _product(matrix: Any) -> Product:
     """The product of a sparse ``matrix`` and a vector: MKL's, on all cores, where torch comes with
-    it, in a third of the time of scipy's."""
+    it."""
     import torch
 
     if not torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
