@@ -21,6 +21,7 @@ class Layout:
     kind: str
     """f: float64, i: integer, b: bool."""
     meaning: str
+    optional: bool = False
 
 
 def _polygons(prefix: str, letter: str, meaning: str) -> dict[str, Layout]:
@@ -38,6 +39,12 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "spacing": Layout((), "f", "h0, edge of a voxel"),
         "interior": Layout(("X", "Y", "Z"), "b", "M_in"),
         "exterior": Layout(("X", "Y", "Z"), "b", "M_ext, the band outside"),
+        "source/vertices": Layout(("Vp", 3), "f", "of a point cloud's surface", optional=True),
+        "source/triangles": Layout(("Tp", 3), "i", "of a point cloud's surface", optional=True),
+        "source/kept": Layout(("P",), "b", "points that do not lie out", optional=True),
+        "source/noise": Layout((), "f", "standard deviation of the points", optional=True),
+        "source/point_spacing": Layout((), "f", "typical spacing of the points", optional=True),
+        "source/normals_agreement": Layout((), "f", "share of the given normals", optional=True),
     },
     "init": {
         "generators": Layout(("N", 3), "f", "generators"),
@@ -94,6 +101,8 @@ def check(stage: str, arrays: Mapping[str, Any]) -> None:
     sizes: dict[str, int] = {}
     for name, layout in LAYOUTS[stage].items():
         if name not in arrays:
+            if layout.optional:
+                continue
             raise ValueError(f"array {name} is missing")
         array = np.asarray(arrays[name])
         if array.dtype.kind not in {"f": "f", "i": "iu", "b": "b"}[layout.kind]:

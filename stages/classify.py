@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from . import contract
-from .contract import Context, Outcome, Range, Short, Stage
+from .contract import Context, Outcome, Positive, Range, Short, Stage
+from .errors import UsageError
 from .memory import peak
 
 
@@ -25,13 +26,20 @@ class Params(contract.Params):
 
     n_init: Annotated[int, Range(5, 512), Short("-n")] = 25
     """Voxels along the longest side of the shape: the resolution of everything that follows."""
+    noise: Positive | None = None
+    """Standard deviation of a point cloud's noise, in the input's units; estimated by default."""
 
 
 def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
     from .sources import voxels
+    from .sources.points import PointSource
 
     source = context.source()
+    if isinstance(source, PointSource):
+        source.given_noise, source.threads = context.params.noise, context.threads
+    elif context.params.noise is not None:
+        raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
     context.progress.start("classify", 2 * voxels.ROUNDS)
     done = 0
 
@@ -48,6 +56,7 @@ def run(context: Context) -> Outcome:
             "spacing": grid.spacing,
             "interior": grid.interior,
             "exterior": grid.exterior,
+            **source.state(),
         },
         metrics={
             "input": source.describe(),
@@ -64,10 +73,19 @@ def run(context: Context) -> Outcome:
     )
 
 
+def _memory(context: Context) -> float:
+    from .sources.points import PointSource
+
+    source = context.source()
+    points = len(source.cloud.points) if isinstance(source, PointSource) else 0
+    voxels = float(context.params.n_init) ** 3
+    return peak(240.0, 240.0, 0.25, voxels) + (900.0 + 1e-3 * points if points else 0.0)
+
+
 STAGE = Stage(
     name="classify",
-    version=3,
+    version=4,
     params=Params,
     run=run,
-    memory=lambda context: peak(240.0, 240.0, 0.25, float(context.params.n_init) ** 3),
+    memory=_memory,
 )

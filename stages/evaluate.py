@@ -40,6 +40,7 @@ def run(context: Context) -> Outcome:
     from .metrics import chamfer, curvature
     from .metrics.fidelity import fidelity
     from .sources.fields import FieldSource
+    from .sources.mesh import MeshSource
     from .sources.resolve import identify
     from .sources.true_surface import true_surface
     from .surface import geometry
@@ -89,7 +90,7 @@ def run(context: Context) -> Outcome:
     ).scaled(frame.spacing / diagonal)
     context.progress.advance(1)
     spacing = float(context.arrays("classify")["spacing"])
-    radius = spacing if field else 2.0 * source.median_edge_length()
+    radius = 2.0 * source.median_edge_length() if isinstance(source, MeshSource) else spacing
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, threads)
     bent = curvature.statistics(vertices, triangles, radius, measured, valid)
     context.progress.advance(2)
@@ -113,7 +114,7 @@ def run(context: Context) -> Outcome:
         "curvature": None if bent is None else vars(bent),
         "dihedral_mean_curvature": curvature.dihedral_mean_curvature(mesh),
         "reference_dihedral": None
-        if field
+        if not isinstance(source, MeshSource)
         else curvature.dihedral_mean_curvature(
             PolygonMesh.of_triangles(source.vertices, source.triangles)
         ),

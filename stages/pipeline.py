@@ -19,7 +19,7 @@ from .artifacts import atomic, fingerprint, lock, manifest, randomness
 from .artifacts.run_folder import RunFolder
 from .contract import Context, Params, Stage, options
 from .errors import ArtifactError, BackendMissing, InputError, UsageError
-from .sources.resolve import Identity, identify
+from .sources.resolve import Identity, identify, kind_of
 from .standing import (
     Session,
     State,
@@ -110,7 +110,7 @@ def _open_recorded(folder: RunFolder, source: Identity) -> Any:
         raise InputError(
             f"{source.path}: the input of {folder.path} is gone; put it back or give it as INPUT"
         )
-    return source.open()
+    return source.open(folder.arrays("classify", "classify"))
 
 
 def _run(
@@ -239,6 +239,8 @@ def command_line(session: Session, stage: Stage, params: Params, source: Identit
     if stage.name == "classify":
         if source.path is not None:
             words.append(relative(source.path, _beside(session)))
+            if source.kind != kind_of(source.path):
+                words += ["--kind", source.kind]
         else:
             words += [source.name] if source.built_in else ["--field", source.name]
     for option in options(stage.params):

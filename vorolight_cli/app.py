@@ -28,6 +28,7 @@ from .session import (
     Field,
     Input,
     Json,
+    Kind,
     Quiet,
     Run,
     Verbose,
@@ -266,11 +267,11 @@ def report(
 @app.command()
 @guarded
 def status(
-    input: Input = None, field: Field = None, run: Run = None, json: Json = False,
-    verify: Verify = False, verbose: Verbose = False,
+    input: Input = None, field: Field = None, kind: Kind = None, run: Run = None,
+    json: Json = False, verify: Verify = False, verbose: Verbose = False,
 ) -> None:  # fmt: skip
     """Say for each stage whether it is done, or why it would run again."""
-    identity = identity_of(input, field)
+    identity = identity_of(input, field, kind)
     folder = RunFolder.locate(run, None if identity is None else identity.stem)
     session = standing.Session(folder=folder, input=identity, verify=verify)
     console = Console(1, json, True)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Input = Annotated[
     str | None,
     typer.Argument(
-        help="A mesh file, or a field: heart, sphere, torus, genus-two, gyroid, cube-cavity, "
-        "a formula, or samples (.npy, .npz)."
+        help="A mesh, a point cloud, or a field: heart, sphere, torus, genus-two, gyroid, "
+        "cube-cavity, a formula, or samples (.npy, .npz)."
     ),
 ]
 Field = Annotated[
@@ -30,6 +30,14 @@ Field = Annotated[
     typer.Option(
         "--field",
         help="In place of INPUT: a formula in x, y and z, negative inside: 'x**2+y**2+z**2-1'.",
+    ),
+]
+Kind = Annotated[
+    str | None,
+    typer.Option(
+        "--kind",
+        help="What INPUT holds [mesh|points|field]. Default: recognised.",
+        show_default=False,
     ),
 ]
 Run = Annotated[
@@ -79,20 +87,25 @@ class Common:
     config: dict[str, dict[str, Any]]
 
 
-def identity_of(input: str | None, field: str | None) -> Identity | None:
+def identity_of(input: str | None, field: str | None, kind: str | None = None) -> Identity | None:
     """The input that was given, if any. Raises UsageError for two, InputError for a bad one."""
-    from vorolight.stages.sources.resolve import identify, identify_field
+    from vorolight.stages.sources.resolve import KINDS, identify, identify_field
 
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"--kind {kind}: must be one of {', '.join(KINDS)}")
+    if kind is not None and input is None:
+        raise UsageError("--kind: says what INPUT holds; give one")
     if input is not None and field is not None:
         raise UsageError(f"--field: there is an INPUT ({input}) already; give one of them")
     if field is not None:
         return identify_field(field)
-    return None if input is None else identify(input)
+    return None if input is None else identify(input, kind)
 
 
 def common_options(
     input: Input = None,
     field: Field = None,
+    kind: Kind = None,
     run: Run = None,
     seed: Seed = None,
     threads: Threads = None,
@@ -117,7 +130,7 @@ def common_options(
     if backend not in BACKENDS:
         raise UsageError(f"--backend {backend}: must be {' or '.join(BACKENDS)}")
     console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
-    identity = identity_of(input, field)
+    identity = identity_of(input, field, kind)
     session = standing.Session(
         folder=RunFolder.locate(run, None if identity is None else identity.stem),
         input=identity,

@@ -15,6 +15,7 @@ _TYPES = {
     "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def encode(
@@ -83,13 +84,17 @@ def _ragged_faces(values: Ints, counts_at: Ints, width: int, count: int) -> tupl
     return offsets, starts[owner] + 1 + width * within
 
 
-def _header(raw: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
+Element = tuple[str, int, list[list[str]]]
+"""Name, count and the words of each property."""
+
+
+def _header(raw: bytes) -> tuple[str, list[Element], int]:
     end = raw.find(b"end_header")
     if not raw.startswith(b"ply") or end < 0:
         raise ValueError("it has no PLY header")
     body = raw.find(b"\n", end) + 1
     kind = ""
-    elements: list[tuple[str, int, list[list[str]]]] = []
+    elements: list[Element] = []
     for line in raw[:end].decode("ascii", errors="replace").splitlines():
         words = line.split()
         if not words:
@@ -101,6 +106,23 @@ def _header(raw: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], in
         elif words[0] == "property" and elements:
             elements[-1][2].append(words[1:])
     return kind, elements, body
+
+
+def _columns(
+    raw: bytes, kind: str, element: Element, at: int, wanted: tuple[str, ...]
+) -> Floats | None:
+    """The properties ``wanted`` of the first element, ``(N, len(wanted))``, where it has them."""
+    _, count, properties = element
+    names = [p[1] for p in properties]
+    if not set(wanted) <= set(names):
+        return None
+    if kind == "ascii":
+        words = raw[at:].split(maxsplit=count * len(names))[: count * len(names)]
+        table = np.array(words, dtype=np.float64).reshape(count, len(names))
+        return np.stack([table[:, names.index(name)] for name in wanted], axis=1)
+    layout = np.dtype([(p[1], _ORDERS[kind] + _TYPES[p[0]]) for p in properties])
+    records = np.frombuffer(raw, layout, count, at)
+    return np.stack([records[name].astype(np.float64) for name in wanted], axis=1)
 
 
 def decode(raw: bytes) -> PolygonMesh | None:
@@ -120,23 +142,19 @@ def decode(raw: bytes) -> PolygonMesh | None:
         return None
     if vertex_count < 0 or face_count < 0 or vertex_count + face_count > len(raw):
         raise ValueError("its header promises more elements than the file has bytes")
-    names = [p[1] for p in vertex_properties]
-    if not {"x", "y", "z"} <= set(names):
+    vertices = _columns(raw, kind, elements[0], at, ("x", "y", "z"))
+    if vertices is None:
         raise ValueError("its vertices have no x, y, z")
     if kind == "ascii":
         numbers = np.array(raw[at:].split(), dtype=np.float64)
-        table = numbers[: vertex_count * len(names)].reshape(vertex_count, len(names))
-        vertices = np.stack([table[:, names.index(axis)] for axis in "xyz"], axis=1)
-        tokens = numbers[vertex_count * len(names) :].astype(np.int64)
+        tokens = numbers[vertex_count * len(vertex_properties) :].astype(np.int64)
         if face_count and len(tokens) == 0:
             raise ValueError("the face list ends early")
         offsets, positions = _ragged_faces(tokens, tokens, 1, face_count)
         return PolygonMesh(vertices, offsets, tokens[positions])
-    order = {"binary_little_endian": "<", "binary_big_endian": ">"}[kind]
-    layout = np.dtype([(p[1], order + _TYPES[p[0]]) for p in vertex_properties])
-    records = np.frombuffer(raw, layout, vertex_count, at)
-    vertices = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    body = np.frombuffer(raw, np.uint8, offset=at + vertex_count * layout.itemsize)
+    order = _ORDERS[kind]
+    size = sum(np.dtype(_TYPES[p[0]]).itemsize for p in vertex_properties)
+    body = np.frombuffer(raw, np.uint8, offset=at + vertex_count * size)
     if _TYPES[corner_list[1]] not in ("u1", "i1") or np.dtype(_TYPES[corner_list[2]]).itemsize != 4:
         return None
     if face_count and len(body) == 0:
@@ -145,6 +163,32 @@ def decode(raw: bytes) -> PolygonMesh | None:
     index_bytes = np.ascontiguousarray(body[positions[:, None] + np.arange(4)])
     indices = index_bytes.view(order + _TYPES[corner_list[2]]).reshape(-1).astype(np.int64)
     return PolygonMesh(vertices, offsets, indices)
+
+
+def decode_points(raw: bytes) -> tuple[Floats, Floats | None]:
+    """The vertices ``(N, 3)`` of a PLY and their normals, if it has any.
+
+    Raises ValueError for a damaged file, KeyError for a property of unknown type.
+    """
+    kind, elements, at = _header(raw)
+    if not elements or elements[0][0] != "vertex":
+        raise ValueError("its first element is not the vertices")
+    if elements[0][1] < 0 or elements[0][1] > len(raw):
+        raise ValueError("its header promises more elements than the file has bytes")
+    points = _columns(raw, kind, elements[0], at, ("x", "y", "z"))
+    if points is None:
+        raise ValueError("its vertices have no x, y, z")
+    return points, _columns(raw, kind, elements[0], at, ("nx", "ny", "nz"))
+
+
+def may_have_faces(path: Path) -> bool:
+    """Whether the header of a PLY promises faces, or strips of them, or is not to be read."""
+    with Path(path).open("rb") as file:
+        start = file.read(65536)
+    try:
+        return any(name != "vertex" and count for name, count, _ in _header(start)[1])
+    except ValueError:
+        return True
 
 
 def read(path: Path) -> PolygonMesh | None:

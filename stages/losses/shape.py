@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 ON_SURFACE = 1e-6
 """Distance, in units of h0, below which a sample counts as on the surface."""
 
+NOISY = 0.05
+"""Noise of a point cloud, in units of h0, from which the Chamfer loss is the robust one."""
+
 ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
 """``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
 
@@ -39,6 +42,7 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss:
     Raises UsageError when the input does not have it.
     """
     from ..sources.fields import FieldSource
+    from ..sources.points import PointSource
 
     source, params = context.source(), context.params
     if isinstance(source, FieldSource):
@@ -46,11 +50,16 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss:
             raise UsageError("--shape-loss chamfer: a field has no target points; use level-set")
         return (first_order_distance if kind == "distance" else level_set)(source.level, frame)
     if kind == "level-set":
-        raise UsageError("--shape-loss level-set: a mesh has no level set; use chamfer")
+        raise UsageError(f"--shape-loss level-set: no level set in {source.kind}; use chamfer")
     if kind == "distance":
         return Distance(context.surface)
-    target = source.surface_samples(params.target_samples, context.random("target"))
-    return Chamfer(frame.model_from_input(target), context.threads)
+    target = frame.model_from_input(
+        source.surface_samples(params.target_samples, context.random("target"))
+    )
+    if isinstance(source, PointSource) and source.noise > NOISY * frame.spacing:
+        # The mean of what lies around a surface is not on it: robustly, its points are.
+        target = context.surface.closest(target)[0]
+    return Chamfer(target, context.threads)
 
 
 class Distance:

@@ -186,5 +186,8 @@ class FieldSource:
     def describe(self) -> dict[str, Any]:
         return {"kind": self.kind, "name": self.name}
 
+    def state(self) -> dict[str, Any]:
+        return {}
+
     def warnings(self) -> list[str]:
         return []

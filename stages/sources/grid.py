@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -13,10 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..surface.polygons import Floats
-
-SUFFIXES = (".npy", ".npz")
-LARGEST = 512**3
-"""Samples."""
+from .arrays_file import named_arrays, single_array
 
 
 @dataclass(frozen=True)
@@ -112,31 +108,16 @@ def load(path: Path) -> SampledField:
 
 
 def _read(path: Path) -> tuple[NDArray[Any], Floats, Floats]:
-    origin, spacing = np.zeros(3), np.ones(3)
-    try:
-        if path.suffix.lower() == ".npy":
-            values = np.load(path, mmap_mode="r", allow_pickle=False)
-        else:
-            with zipfile.ZipFile(path) as archive:
-                size = sum(item.file_size for item in archive.infolist())
-            if size > 8 * LARGEST + 1000:
-                raise InputError(f"{path}: holds {size / 1e9:.1f} GB of samples; thin them")
-            with np.load(path, allow_pickle=False) as found:
-                values = found["values"]
-                origin = np.asarray(found.get("origin", origin), dtype=np.float64)
-                spacing = np.asarray(found.get("spacing", spacing), dtype=np.float64)
-    except KeyError as error:
-        raise InputError(f"{path}: has no array called 'values'; save the samples so") from error
-    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: not a readable array file ({reason[:100]})") from error
-    if values.dtype.kind not in "fiub":
-        raise InputError(f"{path}: holds {values.dtype}, not numbers")
-    if values.size > LARGEST:
-        raise InputError(f"{path}: {values.size} samples are more than {LARGEST}; thin them")
+    if path.suffix.lower() == ".npy":
+        return single_array(path), np.zeros(3), np.ones(3)
+    found = named_arrays(path)
+    if "values" not in found:
+        raise InputError(f"{path}: has no array called 'values'; save the samples so")
+    origin = np.asarray(found.get("origin", np.zeros(3)), dtype=np.float64)
+    spacing = np.asarray(found.get("spacing", np.ones(3)), dtype=np.float64)
     if origin.shape != (3,) or spacing.shape not in ((), (1,), (3,)):
         raise InputError(f"{path}: 'origin' is three numbers, 'spacing' one or three")
     spacing = np.broadcast_to(spacing, 3).astype(np.float64)
     if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
         raise InputError(f"{path}: 'origin' must be finite and 'spacing' positive")
-    return values, origin, spacing
+    return found["values"], origin, spacing

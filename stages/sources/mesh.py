@@ -1,4 +1,4 @@
-"""A mesh as a source: inside by winding number, the generalised one where it is open."""
+"""Triangles as a source: inside by winding number, the generalised one where they are open."""
 
 from __future__ import annotations
 
@@ -26,20 +26,27 @@ SAMPLES = 20_000
 """Points that are asked how sure they are."""
 
 
-class MeshSource:
-    """A surface mesh from a file; opens it once and keeps it as it is."""
+class TriangleSource:
+    """The surface of ``polygons``, which stay as they are."""
 
-    kind = "mesh"
+    @cached_property
+    def polygons(self) -> PolygonMesh:
+        """As found, or as made."""
+        raise NotImplementedError
 
-    def __init__(self, path: Path) -> None:
-        loaded = load(path)
-        self.path = path
-        self.name = path.stem
-        self.polygons = loaded.polygons
-        self.polygons_kept = loaded.polygons_kept
-        # Equal positions are one vertex here, so that neighbours share edges; the file as found
-        # stays in ``polygons``.
-        self.vertices, self.triangles, _ = geometry.fan_triangles(self._welded)
+    @property
+    def vertices(self) -> Floats:
+        """Of the triangles, ``(V, 3)``."""
+        return self._fanned[0]
+
+    @property
+    def triangles(self) -> Ints:
+        return self._fanned[1]
+
+    @cached_property
+    def _fanned(self) -> tuple[Floats, Ints]:
+        # Equal positions are one vertex here, so that neighbours share edges.
+        return geometry.fan_triangles(self._welded)[:2]
 
     def bounding_box(self) -> Floats:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
@@ -130,18 +137,35 @@ class MeshSource:
         """The triangles with a vertex of its own for every fan of a pinched one."""
         return split_pinched(PolygonMesh.of_triangles(self.vertices, self.triangles))
 
+
+class MeshSource(TriangleSource):
+    """A surface mesh from a file; opens it once and keeps it as it is."""
+
+    kind = "mesh"
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.name = path, path.stem
+        self.loaded = load(path)
+
+    @cached_property
+    def polygons(self) -> PolygonMesh:
+        return self.loaded.polygons
+
     def describe(self) -> dict[str, Any]:
         return {
             "kind": self.kind,
             "name": self.name,
             "vertices": self.polygons.vertex_count,
             "faces": self.polygons.face_count,
-            "polygons_kept": self.polygons_kept,
+            "polygons_kept": self.loaded.polygons_kept,
             "open_edges": self.open_edges,
             "doubled_faces": self.winding.doubled if self.open_edges else 0,
             "turned_faces": self.winding.turned if self.open_edges else 0,
             "sureness": round(self.sureness, 4),
         }
+
+    def state(self) -> dict[str, Any]:
+        return {}
 
     def warnings(self) -> list[str]:
         if self.open_edges == 0:

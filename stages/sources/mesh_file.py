@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..export import ply
-from ..surface.polygons import PolygonMesh
+from ..surface.polygons import Floats, PolygonMesh
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def load(path: Path) -> LoadedMesh:
     if mesh.vertex_count == 0 or mesh.face_count == 0:
         raise InputError(
             f"{path}: holds {mesh.vertex_count} vertices and {mesh.face_count} faces, so no "
-            "surface; give a mesh with faces"
+            "surface; give a mesh with faces, or take it as a point cloud with --kind points"
         )
     if mesh.face_vertices.min() < 0 or mesh.face_vertices.max() >= mesh.vertex_count:
         raise InputError(f"{path}: a face names a vertex that is not there; export the mesh again")
@@ -55,6 +55,11 @@ def load(path: Path) -> LoadedMesh:
             "encloses nothing; give a closed surface"
         )
     return LoadedMesh(mesh, kept)
+
+
+def vertices_of(path: Path) -> Floats:
+    """The vertices ``(V, 3)`` in ``path``, whether there are faces or not. Raises InputError."""
+    return _read(path)[0].vertices
 
 
 def _read(path: Path) -> tuple[PolygonMesh, bool]:

@@ -53,6 +53,10 @@ class Source(Protocol):
         """What was understood of the input, for the manifest."""
         ...
 
+    def state(self) -> dict[str, Any]:
+        """Arrays that classify stores because they took long to find."""
+        ...
+
     def warnings(self) -> list[str]:
         """What the user should know about this input."""
         ...

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..artifacts import fingerprint
 from ..errors import InputError
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from .protocol import Source
 
 
+KINDS = ("mesh", "points", "field")
 Y_UP = (".obj", ".ply", ".off", ".glb", ".gltf")
 
 
@@ -43,26 +45,52 @@ class Identity:
 
         return self.path is None and self.name in FIELDS
 
-    def open(self) -> Source:
-        """The source. Raises InputError when the file cannot be used."""
+    def open(self, stored: Mapping[str, Any] | None = None) -> Source:
+        """The source; ``stored`` are the arrays of stage classify, if it has been prepared there.
+
+        Raises InputError when the file cannot be used.
+        """
         from .fields import FieldSource
         from .mesh import MeshSource
+        from .points import PointSource
 
         if self.kind == "field":
             return FieldSource(self.name, path=self.path)
         assert self.path is not None
-        return MeshSource(self.path)
+        if self.kind == "mesh":
+            return MeshSource(self.path)
+        source = PointSource(self.path)
+        if stored is not None:
+            source.restore(stored)
+        return source
 
 
-def identify(text: str) -> Identity:
+def kind_of(path: Path) -> str:
+    """What a file holds, by its ending and, where that may be several things, its first bytes."""
+    from ..export.ply import may_have_faces
+    from .arrays_file import dimensions, names
+    from .cloud_file import TEXT
+
+    suffix = path.suffix.lower()
+    if suffix in TEXT:
+        return "points"
+    if suffix == ".npz":
+        return "points" if "points" in names(path) else "field"
+    if suffix == ".npy":
+        return "points" if dimensions(path) == 2 else "field"
+    if suffix == ".ply" and not may_have_faces(path):
+        return "points"
+    return "mesh"
+
+
+def identify(text: str, kind: str | None = None) -> Identity:
     """The input called ``text``: an existing path wins over a built-in field of that name, and
-    that over a formula.
+    that over a formula. ``kind`` is what the file holds, if that is not to be recognised.
 
     Raises InputError when it is none of them, or a file that cannot be read.
     """
     from .expression import looks_like_one
     from .fields import FIELDS
-    from .grid import SUFFIXES
 
     path = Path(text)
     try:
@@ -71,9 +99,11 @@ def identify(text: str) -> Identity:
         there = False
     if there:
         if not path.is_file():
-            raise InputError(f"{path}: is no file; give a mesh file")
-        kind = "field" if path.suffix.lower() in SUFFIXES else "mesh"
-        return Identity(kind, path.stem, path, path.stat().st_size, fingerprint.of_file(path))
+            raise InputError(f"{path}: is no file; give a mesh, points or a field")
+        found = kind or kind_of(path)
+        return Identity(found, path.stem, path, path.stat().st_size, fingerprint.of_file(path))
+    if kind is not None:
+        raise InputError(f"{text}: no such file; --kind {kind} says what a file holds")
     if text in FIELDS or looks_like_one(text):
         return identify_field(text)
     raise InputError(

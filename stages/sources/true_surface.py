@@ -11,7 +11,7 @@ from ..surface.geometry import limited
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats, Ints
 from .fields import FieldSource
-from .mesh import LEVEL, MeshSource
+from .mesh import LEVEL, TriangleSource
 from .projection import ClosestPoint
 from .winding import membranes
 
@@ -53,7 +53,7 @@ class TrueSurface(Protocol):
 
 def true_surface(source: Source, frame: ModelFrame, threads: int) -> TrueSurface:
     """The surface of ``source``. Raises TypeError for a source that has none."""
-    if isinstance(source, MeshSource):
+    if isinstance(source, TriangleSource):
         return MeshSurface(source, frame, threads)
     if isinstance(source, FieldSource):
         return FieldSurface(source, frame)
@@ -64,7 +64,7 @@ class MeshSurface:
     """Of a mesh: the parts of its triangles that have the inside on one side only, and what spans
     its holes."""
 
-    def __init__(self, source: MeshSource, frame: ModelFrame, threads: int) -> None:
+    def __init__(self, source: TriangleSource, frame: ModelFrame, threads: int) -> None:
         self.source, self.frame = source, frame
         vertices, triangles = frame.model_from_input(source.vertices), source.triangles
         self._closest = ClosestPoint(vertices, triangles, OTHER_SHEET, threads)

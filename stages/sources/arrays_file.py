@@ -1,0 +1,74 @@
+"""Reading NumPy's own files, which may be anything, without trusting them."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+LARGEST = 512**3
+"""Numbers in a file."""
+
+
+def single_array(path: Path) -> NDArray[Any]:
+    """The array of a .npy file, not yet read. Raises InputError."""
+    try:
+        values: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError, SyntaxError) as error:
+        raise _unreadable(path, error) from error
+    _check(path, values)
+    return values
+
+
+def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file. Raises InputError."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(item.file_size for item in archive.infolist())
+        if size > 8 * LARGEST + 100_000:
+            raise ValueError(f"{size / 1e9:.1f} GB of numbers; thin them")
+        with np.load(path, allow_pickle=False) as found:
+            arrays = {name: found[name] for name in found.files}
+    except (
+        OSError, ValueError, EOFError, MemoryError, SyntaxError, KeyError, NotImplementedError,
+        zipfile.BadZipFile, zlib.error, RuntimeError,
+    ) as error:  # fmt: skip
+        raise _unreadable(path, error) from error
+    for values in arrays.values():
+        _check(path, values)
+    return arrays
+
+
+def names(path: Path) -> list[str]:
+    """Of the arrays in a .npz file, without reading them; none of a file that is damaged."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [Path(name).stem for name in archive.namelist()]
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return []
+
+
+def dimensions(path: Path) -> int:
+    """Of the array in a .npy file; 0 if it is damaged."""
+    try:
+        return single_array(path).ndim
+    except InputError:
+        return 0
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return InputError(f"{path}: not a readable array file ({reason[:100]})")
+
+
+def _check(path: Path, values: NDArray[Any]) -> None:
+    if values.dtype.kind not in "fiub":
+        raise InputError(f"{path}: holds {values.dtype}, not numbers")
+    if values.size > LARGEST:
+        raise InputError(f"{path}: {values.size} numbers are more than {LARGEST}; thin them")

@@ -1,0 +1,168 @@
+"""Reading point clouds: PLY, text (XYZ, PTS, ASC, CSV, TXT), NPY, NPZ and Expe's PTS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..export import ply
+from ..surface.polygons import Floats
+from .arrays_file import named_arrays, single_array
+
+TEXT = (".xyz", ".xyzn", ".pts", ".asc", ".csv", ".txt")
+FEWEST, MOST = 100, 2_000_000
+"""Points that a surface can be made of; of more, so many are taken."""
+FLAT = 1e-5
+"""Extent across the plane of the points, over the largest, below which they are flat."""
+UNIT = 0.05
+"""How far from 1 the length of a normal may be, if a text file does not say that it is one."""
+EXPE = b"[Expe/PointSet/Binary/0.1]"
+
+
+@dataclass(frozen=True)
+class LoadedCloud:
+    """The points of a file in its order, those that are not finite, or there again, left out."""
+
+    points: Floats
+    normals: Floats | None
+    not_finite: int
+    doubled: int
+    thinned: int
+    """Points left out at random because there were more than MOST."""
+
+
+def load(path: Path) -> LoadedCloud:
+    """The cloud in ``path``.
+
+    Raises InputError for files that are missing, empty or no cloud, for too few points and for
+    points of one plane.
+    """
+    try:
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: the file is empty; export the points again")
+        points, normals = _read(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
+    except (ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: not a readable point cloud ({reason[:120]})") from error
+    count = len(points)
+    finite = np.isfinite(points).all(axis=1) & (np.abs(points) < 1e150).all(axis=1)
+    _, first = np.unique(points[finite], axis=0, return_index=True)
+    kept = np.flatnonzero(finite)[np.sort(first)]
+    doubled, thinned = int(finite.sum()) - len(kept), max(0, len(kept) - MOST)
+    if thinned:
+        kept = np.sort(np.random.default_rng(0).choice(kept, MOST, replace=False))
+    if len(kept) < FEWEST:
+        raise InputError(
+            f"{path}: holds {len(kept)} different points; a surface needs {FEWEST} at the least"
+        )
+    points = np.ascontiguousarray(points[kept])
+    centred = points - points.mean(axis=0)
+    extent = np.ptp(centred @ np.linalg.svd(centred[:MOST], full_matrices=False)[2].T, axis=0)
+    if extent.min() < FLAT * extent.max():
+        raise InputError(f"{path}: the points lie in one plane and enclose nothing")
+    if normals is not None:
+        normals = np.nan_to_num(normals[kept], posinf=0.0, neginf=0.0)
+    return LoadedCloud(points, normals, count - int(finite.sum()), doubled, thinned)
+
+
+def _read(path: Path) -> tuple[Floats, Floats | None]:
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        arrays = named_arrays(path)
+        if "points" not in arrays:
+            raise InputError(f"{path}: has no array called 'points'; save the points so")
+        return _split(_numbers(arrays["points"]), arrays.get("normals"))
+    if suffix == ".npy":
+        return _split(_numbers(single_array(path)), None)
+    raw = path.read_bytes()
+    if suffix == ".ply":
+        return ply.decode_points(raw)
+    if raw.startswith(EXPE):
+        return _expe(raw)
+    if suffix in TEXT:
+        return _split(_text(raw), None)
+    from .mesh_file import vertices_of
+
+    return vertices_of(path), None
+
+
+def _numbers(values: NDArray[Any]) -> Floats:
+    if values.dtype.kind not in "fiu":
+        raise ValueError(f"it holds {values.dtype}, not numbers")
+    return np.asarray(values, dtype=np.float64)
+
+
+def _split(table: Floats, normals: Any) -> tuple[Floats, Floats | None]:
+    """Points, and normals if the rows of ``table (N, >= 3)`` have unit vectors after them."""
+    if table.ndim != 2 or table.shape[1] < 3:
+        raise ValueError(f"it holds numbers of shape {table.shape}, not rows of x, y, z")
+    if normals is not None:
+        normals = _numbers(normals)
+        if normals.shape != (len(table), 3):
+            raise ValueError(f"'normals' has shape {normals.shape}, not that of the points")
+    elif table.shape[1] == 6:
+        # Six columns are as often colours.
+        length = np.linalg.norm(table[:, 3:], axis=1)
+        if len(length) and (np.abs(length - 1) < UNIT).mean() > 0.9:
+            normals = table[:, 3:]
+    return table[:, :3], normals
+
+
+def _text(raw: bytes) -> Floats:
+    """Rows of numbers, apart by blanks, commas or semicolons; words and a count may come first."""
+    if b"\0" in raw:
+        raise ValueError("it is no text")
+    lines = raw.translate(bytes.maketrans(b",;\t", b"   ")).splitlines()
+    rows = [
+        line
+        for line in (line.partition(b"#")[0].partition(b"//")[0].strip() for line in lines)
+        if line
+    ]
+    while rows and not _is_row(rows[0]):
+        rows.pop(0)
+    if not rows:
+        raise ValueError("it has no row of three numbers")
+    return np.loadtxt(rows, dtype=np.float64, ndmin=2, comments=None)
+
+
+def _is_row(line: bytes) -> bool:
+    words = line.split()
+    try:
+        [float(word) for word in words]
+    except ValueError:
+        return False
+    return len(words) >= 3
+
+
+def _expe(raw: bytes) -> tuple[Floats, Floats | None]:
+    """The binary point sets of the Expe engine: records of little-endian floats."""
+    head, mark, body = raw.partition(b"\ndata\n")
+    fields, count = [], -1
+    for line in head.decode("ascii", errors="replace").splitlines()[1:]:
+        words = line.split()
+        if words[:1] == ["property"] and len(words) == 3:
+            fields.append((words[1], f"V{int(words[2])}"))
+        elif words[:1] == ["nofpoints"]:
+            count = int(words[1])
+    layout = np.dtype(fields)
+    if (
+        not mark
+        or count < 0
+        or count * layout.itemsize > len(body)
+        or "position" not in dict(fields)
+    ):
+        raise ValueError("its header does not fit its data")
+    records = np.frombuffer(body, layout, count)
+
+    def vectors(name: str) -> Floats:
+        flat = np.frombuffer(np.ascontiguousarray(records[name]).tobytes(), "<f4")
+        return flat.reshape(count, 3).astype(np.float64)
+
+    return vectors("position"), vectors("normal") if "normal" in dict(fields) else None

@@ -1,0 +1,119 @@
+"""A point cloud as a source: the closed surface that it samples stands for it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..surface.polygons import Floats, PolygonMesh
+from ..surface.topology import topology
+from .cloud_file import MOST, load
+from .mesh import TriangleSource
+from .reconstruction import AGREE, Reconstruction, reconstruct
+
+
+class PointSource(TriangleSource):
+    """Points from a file, with or without normals."""
+
+    kind = "points"
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.name = path, path.stem
+        self.cloud = load(path)
+        self.given_noise: float | None = None
+        self.threads = 1
+
+    @cached_property
+    def reconstruction(self) -> Reconstruction:
+        """Raises InputError for points that have no inside."""
+        try:
+            return reconstruct(
+                self.cloud.points, self.cloud.normals, self.given_noise, self.threads
+            )
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from error
+
+    @cached_property
+    def polygons(self) -> PolygonMesh:
+        found = self.reconstruction
+        return PolygonMesh.of_triangles(found.vertices, found.triangles)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the points about the surface, in the input's units."""
+        return self.reconstruction.noise
+
+    def state(self) -> dict[str, Any]:
+        """Arrays of what took long to find."""
+        found = self.reconstruction
+        return {
+            "source/vertices": found.vertices,
+            "source/triangles": found.triangles,
+            "source/kept": found.kept,
+            "source/noise": np.array(found.noise),
+            "source/point_spacing": np.array(found.spacing),
+            "source/normals_agreement": np.array(
+                np.nan if found.agreement is None else found.agreement
+            ),
+        }
+
+    def restore(self, stored: dict[str, Any]) -> None:
+        """Take what ``state`` was, of the same points."""
+        agreement = float(stored["source/normals_agreement"])
+        self.__dict__["reconstruction"] = Reconstruction(
+            stored["source/vertices"],
+            stored["source/triangles"],
+            float(stored["source/noise"]),
+            float(stored["source/point_spacing"]),
+            stored["source/kept"],
+            None if np.isnan(agreement) else agreement,
+        )
+
+    def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
+        """``count`` of the points that do not lie out, all of them if there are fewer."""
+        points = self.cloud.points[self.reconstruction.kept]
+        if len(points) <= count:
+            return points
+        return np.asarray(points[random.choice(len(points), count, replace=False)])
+
+    def describe(self) -> dict[str, Any]:
+        found, facts = self.reconstruction, topology(self.polygons)
+        return {
+            "kind": self.kind,
+            "name": self.name,
+            "points": len(self.cloud.points),
+            "not_finite": self.cloud.not_finite,
+            "doubled": self.cloud.doubled,
+            "thinned": self.cloud.thinned,
+            "outliers": int((~found.kept).sum()),
+            "noise": found.noise,
+            "noise_given": self.given_noise is not None,
+            "point_spacing": found.spacing,
+            "normals": self.cloud.normals is not None,
+            "normals_agreement": found.agreement,
+            "euler_number": facts.euler_number,
+            "components": facts.components,
+        }
+
+    def warnings(self) -> list[str]:
+        found, cloud = self.reconstruction, self.cloud
+        out = int((~found.kept).sum())
+        said = [
+            f"{count} points {what}"
+            for count, what in (
+                (cloud.not_finite, "have coordinates that are not finite; they are left out"),
+                (cloud.thinned, f"are left out at random, since there are more than {MOST}"),
+                (out, "lie out, alone or in a thin cloud, and are left out"),
+            )
+            if count
+        ]
+        if found.agreement is not None and found.agreement < AGREE:
+            said.append(
+                f"the given normals are not used: {100 * found.agreement:.0f} % of them agree with "
+                f"the winding number they make, not {100 * AGREE:.0f} %"
+            )
+        return said

@@ -1,0 +1,234 @@
+"""From a point cloud to the closed surface that it samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..surface.geometry import triangle_areas, vertex_normals
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.topology import bad_edges
+from .gauss import Dipoles, Grid, Single, outward
+from .local_fits import Cloud
+from .noise import noise, outliers, spacings, typical
+
+COARSE, FINE = 64, 128
+"""Edges of the grid along the longest side: where the inside is found, and at most afterwards."""
+CELL = 1.5
+"""Points within an edge of the grid divided by this are one, at their mean."""
+FINER = 0.8
+"""Edge of the fine grid, in typical spacings, at least."""
+AROUND = 2.0
+"""Within so many edges of the grid, and noises, points are counted to see which are denser."""
+WIDEST = 2.0
+"""The side of a point's surface, in typical spacings, at most."""
+COARSER = 0.7
+"""Edge of the fine grid, in standard deviations of the noise, at least."""
+STEPS, STEPS_NOISY, NOISY = 10, 4, 1.3
+"""Steps to consistent normals; fewer from a noise of so many coarse edges."""
+LEVEL = 2.0
+"""Width within which the level follows the points: in edges of the grid and in noises."""
+SMALLEST = 0.01
+"""Pieces and cavities smaller than this share of the largest piece are left out."""
+FIT_ROUNDS, NEIGHBOURS = 3, 10
+FIT_CELL = 0.6
+"""Points within this many standard deviations of the noise are one for the fits."""
+TOO_FEW = 5.0
+"""Points that must count in a fit for its surface to move there."""
+UNDER = 1.08
+"""The noise over the residual of the fits, which is a little less."""
+STEPS_GIVEN = 2
+"""Steps from given normals."""
+AGREE, ALONG = 0.95, 0.5
+"""Given normals are believed if this share of them is within a cosine of ALONG of the gradient of
+the winding number that they make."""
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """The surface of a cloud, in the cloud's own coordinates."""
+
+    vertices: Floats
+    triangles: Ints
+    noise: float
+    """Standard deviation of the points about it."""
+    spacing: float
+    kept: NDArray[np.bool_]
+    """Points ``(N,)`` that do not lie out."""
+    agreement: float | None
+    """Share of the given normals that agree with the winding number they make; they are used from
+    AGREE."""
+
+
+def reconstruct(
+    points: Floats, normals: Floats | None, given_noise: float | None, threads: int
+) -> Reconstruction:
+    """The closed surface of ``points (N, 3)``; ``normals (N, 3)`` are used if they fit the points.
+
+    Raises InputError when the points have no inside.
+    """
+    kept = ~outliers(points, threads)
+    low = points[kept].min(axis=0)
+    size = float(np.ptp(points[kept], axis=0).max())
+    # At size 1, so that the scale changes nothing.
+    unit = (points[kept] - low) / size
+    apart = typical(spacings(unit, threads))
+    if given_noise is None:
+        blur = noise(unit, np.random.default_rng(0))
+    else:
+        blur = given_noise / size
+    coarse, first = _coarse(unit, apart, blur, threads)
+    edge = float(np.clip(max(FINER * apart, COARSER * blur), 1 / FINE, 1 / COARSE))
+    fine, weights, group = thinned(unit, edge / CELL)
+    grid = Grid.around(fine, edge, threads)
+    dipoles = Dipoles(grid, fine, _areas(grid, fine, weights, apart, blur), 0.5 * blur)
+    steps = STEPS_NOISY if blur > NOISY / COARSE else STEPS
+    start, agreement = _at(coarse, first, fine), None
+    if normals is not None:
+        given, agreement = _checked(dipoles, normals[kept], group)
+        if agreement >= AGREE:
+            start, steps = given, STEPS_GIVEN
+    potential, _ = dipoles.consistent(start, steps)
+    field = dipoles.above_surface(potential, max(LEVEL * edge, LEVEL * blur))
+    vertices, triangles = _level_set(grid, _without_specks(field))
+    vertices, blur = _fitted(
+        vertices, triangles, unit, _at(grid, potential, unit), blur, given_noise is not None, edge,
+        threads,
+    )  # fmt: skip
+    return Reconstruction(
+        low + size * vertices, triangles, size * blur, size * apart, kept, agreement
+    )
+
+
+def thinned(points: Floats, cell: float) -> tuple[Floats, Floats, Ints]:
+    """The means of the points in each cubic cell, how many there are, and the mean of each point."""
+    index = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    number = np.ravel_multi_index(tuple(index.T), tuple(index.max(axis=0) + 1))
+    _, group, count = np.unique(number, return_inverse=True, return_counts=True)
+    mean = np.stack([np.bincount(group, axis) for axis in points.T], axis=1) / count[:, None]
+    return mean, count.astype(np.float64), group
+
+
+def _coarse(points: Floats, apart: float, blur: float, threads: int) -> tuple[Grid, Single]:
+    edge = 1 / COARSE
+    some, weights, _ = thinned(points, edge / CELL)
+    grid = Grid.around(some, edge, threads)
+    return grid, Dipoles(grid, some, _areas(grid, some, weights, apart, blur), blur).least()
+
+
+def _areas(grid: Grid, points: Floats, counts: Floats, apart: float, blur: float) -> Floats:
+    """How much of the surface each of the thinned ``points (N, 3)`` stands for, in cells: as much
+    as it has, and where noise has strewn them, more where there were more."""
+    from scipy.ndimage import gaussian_filter
+
+    at, to = grid.interpolation(points)
+    width = max(AROUND, AROUND * blur / grid.spacing)
+    given, all_ = (
+        at @ gaussian_filter((to @ each).reshape(grid.shape), width, mode="constant").reshape(-1)
+        for each in (counts.astype(np.float32), np.ones(len(points), np.float32))
+    )
+    share = counts * all_ / np.maximum(given, np.finfo(np.float32).tiny)
+    cell = grid.spacing / CELL
+    side = np.clip(spacings(points, grid.threads), cell, max(cell, WIDEST * apart))
+    return np.asarray(share * (side / cell) ** 2)
+
+
+def _at(grid: Grid, potential: Single, points: Floats) -> Single:
+    """Unit normals at ``points`` against the gradient of ``potential``."""
+    at, _ = grid.interpolation(points)
+    return outward(
+        np.stack([at @ grid.slopes(potential, axis).reshape(-1) for axis in range(3)], axis=1)
+    )
+
+
+def _checked(dipoles: Dipoles, normals: Floats, group: Ints) -> tuple[Single, float]:
+    """Given ``normals (N, 3)``, as means of their ``group (N,)`` of points, outward, and the share
+    of them that agrees with the winding number they make."""
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.maximum(size, np.finfo(float).tiny)
+    mean = outward(-np.stack([np.bincount(group, axis) for axis in normals.T], axis=1))
+    potential = dipoles.potential(mean.astype(np.float32))
+    if np.median(dipoles.values(potential)) < 0:  # outside it is zero
+        normals, mean, potential = -normals, -mean, -potential
+    found = outward(dipoles.gradient(potential))[group]
+    agreement = float((np.einsum("ij,ij->i", normals, found) > ALONG).mean())
+    return mean.astype(np.float32), agreement
+
+
+def _without_specks(field: Single) -> Single:
+    """``field``, positive inside, without small pieces and small cavities."""
+    from scipy.ndimage import label
+
+    result = field.copy()
+    for sign, joined in ((1, None), (-1, np.ones((3, 3, 3)))):
+        part, count = label(sign * result > 0, structure=joined)
+        if count == 0:
+            raise InputError("the points have no inside")
+        size = np.bincount(part.reshape(-1))
+        size[0] = 0
+        small = size < SMALLEST * (result > 0).sum()
+        small[0] = False
+        result = np.where(small[part], -result, result)
+    return result
+
+
+def _level_set(grid: Grid, field: Single) -> tuple[Floats, Ints]:
+    """Where ``field`` is zero: vertices and outward triangles."""
+    import igl
+
+    index = np.stack(np.unravel_index(np.arange(field.size), grid.shape[::-1]), axis=1)[:, ::-1]
+    nodes = np.ascontiguousarray(grid.origin + grid.spacing * index)
+    # The first index runs fastest, and what is negative is inside to marching cubes.
+    values = np.ascontiguousarray(-field.T.astype(np.float64)).reshape(-1)
+    vertices, triangles, _ = igl.marching_cubes(values, nodes, *map(int, grid.shape), 0.0)
+    triangles = np.asarray(triangles, np.int64)
+    if len(bad_edges(PolygonMesh.of_triangles(vertices, triangles))):
+        raise InputError("the level set is not closed")
+    return np.asarray(vertices), triangles
+
+
+def _fitted(
+    vertices: Floats,
+    triangles: Ints,
+    points: Floats,
+    normals: Single,
+    blur: float,
+    known: bool,
+    edge: float,
+    threads: int,
+) -> tuple[Floats, float]:
+    """The vertices moved along their normals onto the quadrics of the points, and the noise."""
+    from scipy.spatial import cKDTree
+
+    cloud = _as_cloud(points, normals.astype(np.float64), blur, threads)
+    apart = (
+        np.sqrt(np.pi / NEIGHBOURS)
+        * cKDTree(points).query(vertices, NEIGHBOURS, workers=threads)[0][:, -1]
+    )
+    # Noise takes points off the surface, and so away from each other.
+    area = float(triangle_areas(vertices, triangles).sum())
+    apart *= min(1.0, float(np.sqrt(area / len(points)) / np.median(apart)))
+    for number in range(FIT_ROUNDS):
+        facing = vertex_normals(vertices, triangles)
+        fits = cloud.fits(vertices, facing, blur, apart)
+        if number == 0 and not known:
+            blur = UNDER * float(np.median(fits.residual))
+        # Noise carries points of a bent surface to its hollow side (half the variance times the
+        # Laplacian of the height).
+        height = fits.height - np.clip(blur**2 * fits.bend, -0.7 * blur, 0.7 * blur)
+        height = np.clip(height, -2 * edge, 2 * edge) * (fits.weight > TOO_FEW)
+        vertices = vertices + height[:, None] * facing
+    return vertices, blur
+
+
+def _as_cloud(points: Floats, normals: Floats, blur: float, threads: int) -> Cloud:
+    """The points with their normals, those within a small part of the noise as one."""
+    if FIT_CELL * blur < typical(spacings(points, threads)):
+        return Cloud(points, normals, np.ones(len(points)), threads)
+    at, weights, group = thinned(points, FIT_CELL * blur)
+    mean = np.stack([np.bincount(group, axis) for axis in normals.T], axis=1)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
+    return Cloud(at, mean, weights, threads)
