@@ -119,12 +119,12 @@ class Dipoles:
         self.response = grid.poisson(max(NARROWEST * grid.spacing, width))
 
     def potential(self, dipoles: Single) -> Single:
-        """Of ``dipoles (N, 3)``, on the grid; it is high where they point away from."""
+        """Of ``dipoles (N, 3)``, on the grid; outward ones make it high inside."""
         divergence: Any = 0.0
         for axis in range(3):
             spread = (self.to @ (self.weights * dipoles[:, axis])).reshape(self.grid.shape)
             divergence = divergence + self.grid.slopes(spread, axis)
-        return -self.grid.solve(divergence, self.response)
+        return self.grid.solve(divergence, self.response)
 
     def gradient(self, potential: Single) -> Single:
         """At the points, ``(N, 3)``."""
@@ -144,7 +144,7 @@ class Dipoles:
             field = self.grid.solve(
                 (self.to @ (root * values)).reshape(self.grid.shape), self.response
             )
-            return self.gradient(field)
+            return -self.gradient(field)
 
         def operator(values: Single) -> Single:
             return root * self.values(self.potential(dipoles(values)))

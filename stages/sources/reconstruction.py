@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,10 @@ SMALLEST = 0.01
 FIT_ROUNDS, NEIGHBOURS = 3, 10
 FIT_CELL = 0.6
 """Points within this many standard deviations of the noise are one for the fits."""
+SMOOTHING = 10
+"""Steps of smoothing what the fits say, from a noise of an edge of the grid."""
+BOUND = 0.7
+"""Mean curvature, over the noise, up to which the fits are believed."""
 TOO_FEW = 5.0
 """Points that must count in a fit for its surface to move there."""
 UNDER = 1.08
@@ -211,17 +216,41 @@ def _fitted(
     # Noise takes points off the surface, and so away from each other.
     area = float(triangle_areas(vertices, triangles).sum())
     apart *= min(1.0, float(np.sqrt(area / len(points)) / np.median(apart)))
+    averages = _averages(triangles)
     for number in range(FIT_ROUNDS):
         facing = vertex_normals(vertices, triangles)
         fits = cloud.fits(vertices, facing, blur, apart)
         if number == 0 and not known:
             blur = UNDER * float(np.median(fits.residual))
+        steps = round(SMOOTHING * min(1.0, blur / edge))
+        bound = BOUND / max(blur, np.finfo(float).tiny)
+        bend = _smoothed(np.clip(fits.bend, -bound, bound), averages, steps)
         # Noise carries points of a bent surface to its hollow side (half the variance times the
         # Laplacian of the height).
-        height = fits.height - np.clip(blur**2 * fits.bend, -0.7 * blur, 0.7 * blur)
+        height = _smoothed(fits.height, averages, steps // 2) - blur**2 * bend
         height = np.clip(height, -2 * edge, 2 * edge) * (fits.weight > TOO_FEW)
         vertices = vertices + height[:, None] * facing
+        if steps:
+            aside = 0.5 * (averages @ vertices - vertices)
+            facing = vertex_normals(vertices, triangles)
+            vertices = vertices + aside - (aside * facing).sum(axis=1, keepdims=True) * facing
     return vertices, blur
+
+
+def _averages(triangles: Ints) -> Any:
+    """The sparse matrix of means over neighbours."""
+    from scipy.sparse import csr_array, diags_array
+
+    start = triangles.reshape(-1)
+    end = triangles[:, [1, 2, 0]].reshape(-1)
+    matrix = csr_array((np.ones(len(start)), (start, end)))
+    return diags_array(1 / np.maximum(matrix.sum(axis=1), 1)) @ matrix
+
+
+def _smoothed(values: Floats, averages: Any, steps: int) -> Floats:
+    for _ in range(steps):
+        values = 0.5 * (values + averages @ values)
+    return values
 
 
 def _as_cloud(points: Floats, normals: Floats, blur: float, threads: int) -> Cloud:
