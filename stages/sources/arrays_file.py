@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -14,13 +18,27 @@ from ..errors import InputError
 
 LARGEST = 512**3
 """Numbers in a file."""
+DAMAGED = (
+    OSError, ValueError, EOFError, MemoryError, SyntaxError, KeyError, OverflowError, TypeError,
+    NotImplementedError, RuntimeError, TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What NumPy raises at damaged files."""
+
+
+@contextmanager
+def _unwarned() -> Iterator[None]:
+    """NumPy warns of the headers that it then refuses, or reads all the same."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        yield
 
 
 def single_array(path: Path) -> NDArray[Any]:
     """The array of a .npy file, not yet read. Raises InputError."""
     try:
-        values: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError, SyntaxError) as error:
+        with _unwarned():
+            values: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except DAMAGED as error:
         raise _unreadable(path, error) from error
     _check(path, values)
     return values
@@ -33,12 +51,9 @@ def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
             size = sum(item.file_size for item in archive.infolist())
         if size > 8 * LARGEST + 100_000:
             raise ValueError(f"{size / 1e9:.1f} GB of numbers; thin them")
-        with np.load(path, allow_pickle=False) as found:
+        with _unwarned(), np.load(path, allow_pickle=False) as found:
             arrays = {name: found[name] for name in found.files}
-    except (
-        OSError, ValueError, EOFError, MemoryError, SyntaxError, KeyError, NotImplementedError,
-        zipfile.BadZipFile, zlib.error, RuntimeError,
-    ) as error:  # fmt: skip
+    except DAMAGED as error:
         raise _unreadable(path, error) from error
     for values in arrays.values():
         _check(path, values)

@@ -45,7 +45,8 @@ def load(path: Path) -> LoadedCloud:
     try:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty; export the points again")
-        points, normals = _read(path)
+        with np.errstate(all="ignore"):  # what is no number is found below
+            points, normals = _read(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
     except (ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:

@@ -8,11 +8,10 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..surface.polygons import Floats
-from .arrays_file import named_arrays, single_array
+from .grid_file import read
 
 
 @dataclass(frozen=True)
@@ -78,14 +77,15 @@ def _mirrored(index: Any, size: int, xp: ModuleType) -> Any:
 
 def load(path: Path) -> SampledField:
     """The samples in ``path``: an array of three dimensions in a .npy file (origin 0, spacing 1),
-    or ``values``, ``origin (3,)`` and ``spacing`` (one or three) in a .npz file.
+    ``values``, ``origin (3,)`` and ``spacing`` (one or three) in a .npz file, NRRD or VTI.
 
     Raises InputError for anything else, for samples that are not finite, nowhere negative, or
     negative at the border.
     """
     from scipy.ndimage import spline_filter
 
-    values, origin, spacing = _read(path)
+    found = read(path)
+    values = found.values
     if values.ndim != 3 or min(values.shape) < 4:
         raise InputError(
             f"{path}: holds samples of shape {values.shape}; a field needs three dimensions of at "
@@ -104,20 +104,4 @@ def load(path: Path) -> SampledField:
             f"{path}: the field is negative at the border of its grid, where the inside would be "
             "cut off; add a layer of positive samples"
         )
-    return SampledField(spline_filter(values, order=3, mode="mirror"), origin, spacing)
-
-
-def _read(path: Path) -> tuple[NDArray[Any], Floats, Floats]:
-    if path.suffix.lower() == ".npy":
-        return single_array(path), np.zeros(3), np.ones(3)
-    found = named_arrays(path)
-    if "values" not in found:
-        raise InputError(f"{path}: has no array called 'values'; save the samples so")
-    origin = np.asarray(found.get("origin", np.zeros(3)), dtype=np.float64)
-    spacing = np.asarray(found.get("spacing", np.ones(3)), dtype=np.float64)
-    if origin.shape != (3,) or spacing.shape not in ((), (1,), (3,)):
-        raise InputError(f"{path}: 'origin' is three numbers, 'spacing' one or three")
-    spacing = np.broadcast_to(spacing, 3).astype(np.float64)
-    if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
-        raise InputError(f"{path}: 'origin' must be finite and 'spacing' positive")
-    return found["values"], origin, spacing
+    return SampledField(spline_filter(values, order=3, mode="mirror"), found.origin, found.spacing)

@@ -32,7 +32,8 @@ def load(path: Path) -> LoadedMesh:
     try:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty; export the mesh again")
-        mesh, kept = _read(path)
+        with np.errstate(all="ignore"):  # what is no number is found below
+            mesh, kept = _read(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
     if mesh.vertex_count == 0 or mesh.face_count == 0:

@@ -74,6 +74,8 @@ def kind_of(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix in TEXT:
         return "points"
+    if suffix in (".nrrd", ".vti"):
+        return "field"
     if suffix == ".npz":
         return "points" if "points" in names(path) else "field"
     if suffix == ".npy":
