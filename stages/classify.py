@@ -34,6 +34,7 @@ def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
     from .sources import voxels
     from .sources.points import PointSource
+    from .sources.thin import thin_parts
 
     source = context.source()
     if isinstance(source, PointSource):
@@ -50,6 +51,7 @@ def run(context: Context) -> Outcome:
 
     grid = voxels.classify(source, context.params.n_init, context.random, tick)
     low, high = source.bounding_box()
+    thin = thin_parts(source, grid, context.threads)
     return Outcome(
         arrays={
             "origin": grid.origin,
@@ -63,8 +65,9 @@ def run(context: Context) -> Outcome:
             "spacing": grid.spacing,
             "interior_voxels": int(grid.interior.sum()),
             "exterior_voxels": int(grid.exterior.sum()),
+            "thin_parts": vars(thin),
         },
-        warnings=source.warnings(),
+        warnings=source.warnings() + [said for said in [thin.warning()] if said],
         frame={
             "unit": "input",
             "input_from_model": [[float(i == j) for j in range(4)] for i in range(4)],
@@ -75,6 +78,7 @@ def run(context: Context) -> Outcome:
 
 def _memory(context: Context) -> float:
     from .sources.points import PointSource
+    from .sources.thin import thin_parts
 
     source = context.source()
     points = len(source.cloud.points) if isinstance(source, PointSource) else 0

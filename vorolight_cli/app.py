@@ -79,6 +79,14 @@ def _strict(
     return strict
 
 
+def _preview(
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Draw what was understood, to classify.png.")
+    ] = False,
+) -> bool:
+    return preview
+
+
 def guarded(function: Function) -> Function:
     """Errors become one sentence on stderr and the exit code of their kind."""
 
@@ -131,13 +139,13 @@ def _execute(common: Common, name: str, params: Any) -> bool:
 def _stage_command(name: str) -> None:
     stage = standing.get(name)
     served = [standing.get("classify"), stage] if name == "init" else [stage]
-    templates: list[Function] = (
-        [common_options, _strict] if name == "evaluate" else [common_options]
-    )
+    own = {"evaluate": [_strict], "classify": [_preview]}
+    templates: list[Function] = [common_options, *own.get(name, [])]
 
     def command(**given: Any) -> None:
         names = parameter_names(served)
         strict = name == "evaluate" and _taken(_strict, given)
+        preview = name == "classify" and _taken(_preview, given)
         common = _taken(common_options, given)
         params = build(stage, given, common.config, names[name])
         if name == "init" and _classify_first(common, given, names["classify"]):
@@ -145,6 +153,8 @@ def _stage_command(name: str) -> None:
         _execute(common, name, params)
         if strict and not common.dry_run:
             _gates(common.session, params)
+        if preview and not common.dry_run:
+            _draw(common)
 
     command.__doc__ = _help(stage)
     _register(name, command, templates, served)
@@ -174,6 +184,16 @@ def _gates(session: standing.Session, params: Any) -> None:
     failed = failed_gates(stored["metrics"])
     if failed:
         raise GateFailure(f"{session.folder.path}: the {params.of} surface is not {failed[0]}")
+
+
+def _draw(common: Common) -> None:
+    from vorolight.stages.report import preview
+
+    folder = common.session.folder
+    source = common.session.input or standing.recorded_input(folder)
+    if source is not None:
+        opened = source.open(folder.arrays("classify", "classify"))
+        common.console.say(f"preview: {preview.write(folder, opened)}")
 
 
 def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]) -> bool:

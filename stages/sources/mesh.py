@@ -45,8 +45,7 @@ class TriangleSource:
 
     @cached_property
     def _fanned(self) -> tuple[Floats, Ints]:
-        # Equal positions are one vertex here, so that neighbours share edges.
-        return geometry.fan_triangles(self._welded)[:2]
+        return geometry.fan_triangles(self.welded)[:2]
 
     def bounding_box(self) -> Floats:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
@@ -54,10 +53,11 @@ class TriangleSource:
     @cached_property
     def open_edges(self) -> int:
         """Edges not in two faces with opposite directions, vertices at one place taken as one."""
-        return len(bad_edges(self._welded))
+        return len(bad_edges(self.welded))
 
     @cached_property
-    def _welded(self) -> PolygonMesh:
+    def welded(self) -> PolygonMesh:
+        """The polygons with one vertex at every place, so that neighbours share edges."""
         places, same = np.unique(self.polygons.vertices, axis=0, return_inverse=True)
         return PolygonMesh(
             places,
@@ -122,15 +122,15 @@ class TriangleSource:
 
     def median_edge_length(self) -> float:
         """``h_ref`` of the paper's curvature metric: over the polygon edges as found."""
-        ends: Ints = edges(self._welded)
-        at = self._welded.vertices[ends]
+        ends: Ints = edges(self.welded)
+        at = self.welded.vertices[ends]
         return float(np.median(np.linalg.norm(at[:, 0] - at[:, 1], axis=1)))
 
     def topology(self) -> tuple[int, int] | None:
         """Of a closed mesh: a vertex where several fans of faces meet counts once for each."""
         if self.open_edges:
             return None
-        facts = topology(self._welded)
+        facts = topology(self.welded)
         return facts.euler_number + facts.pinched_vertices, facts.components
 
     def manifold(self) -> PolygonMesh:

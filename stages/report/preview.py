@@ -1,0 +1,133 @@
+"""What was understood of an input: its surface, its interior voxels, and a cut through them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..artifacts import atomic
+from ..artifacts.run_folder import RunFolder
+from ..render import png, raster
+from ..sources.mesh import MeshSource
+from ..sources.points import PointSource
+from ..sources.resolve import up_axis
+from ..sources.true_surface import true_surface
+from ..surface.geometry import fan_triangles
+from ..surface.model_frame import ModelFrame
+from ..surface.polygons import Floats, Ints
+from ..surface.topology import bad_edges
+
+if TYPE_CHECKING:
+    from ..artifacts.hdf5 import Arrays
+    from ..sources.protocol import Source
+
+FOUND, WRONG, VOXEL, BAND = (
+    np.array(rgb)
+    for rgb in ((0.56, 0.72, 0.88), (0.86, 0.24, 0.20), (0.98, 0.75, 0.42), (0.90, 0.92, 0.95))
+)
+AZIMUTH = {"y": 60.0, "z": -60.0}
+DOTS = 30_000
+"""Points of a cloud that are drawn, and samples of a field."""
+
+
+def write(folder: RunFolder, source: Source) -> Path:
+    """The picture beside the manifest of stage classify; its path."""
+    path = folder.file("classify", "png")
+    atomic.write(path, png.encode(preview(source, folder.arrays("classify", "classify"))))
+    return path
+
+
+def preview(source: Source, classified: Arrays, size: int = 480) -> Floats:
+    """Three panels ``(H, 3 H, 3)``: the input, with what is wrong in it in red; its interior
+    voxels; and the middle slice of the grid, interior voxels, their band and the surface."""
+    up = up_axis(None if source.path is None else str(source.path))
+    view = raster.view(up, AZIMUTH[up])
+    frame = ModelFrame.of(classified)
+    panels = [
+        raster.shaded(*_input(source, frame), view, size, size),
+        raster.shaded(*_voxels(classified["interior"]), view, size, size),
+        _slice(source, frame, classified, "xyz".index(up), size),
+    ]
+    return np.concatenate(panels, axis=1)
+
+
+def _input(source: Source, frame: ModelFrame) -> tuple[Floats, Ints, Ints | None, Floats]:
+    """Vertices, triangles, outlined groups and colours."""
+    if isinstance(source, MeshSource):
+        mesh = source.welded
+        vertices, triangles, face = fan_triangles(mesh)
+        bad = np.zeros(len(vertices), dtype=bool)
+        bad[bad_edges(mesh).reshape(-1)] = True
+        wrong = bad[triangles].sum(axis=1) > 1
+        return vertices, triangles, face, np.where(wrong[:, None], WRONG, FOUND)
+    if isinstance(source, PointSource):
+        points = frame.model_from_input(source.cloud.points)
+        out = ~source.reconstruction.kept
+        step = max(1, len(points) // DOTS)
+        chosen = np.unique(np.concatenate([np.arange(0, len(points), step), np.flatnonzero(out)]))
+        edge = max(0.08, 0.5 * source.reconstruction.spacing / frame.spacing)
+        return _dots(points[chosen], out[chosen], edge)
+    surface = true_surface(source, frame, 1)
+    return _dots(surface.samples, np.zeros(len(surface.samples), dtype=bool), 0.15)
+
+
+def _dots(points: Floats, wrong: NDArray[np.bool_], edge: float) -> tuple[Floats, Ints, None, Floats]:
+    """A tetrahedron at each point."""
+    corner = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    face = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    vertices = (points[:, None] + 0.5 * edge * corner).reshape(-1, 3)
+    triangles = (4 * np.arange(len(points))[:, None, None] + face).reshape(-1, 3)
+    colour = np.where(np.repeat(wrong, 4)[:, None], WRONG, FOUND)
+    return vertices, triangles, None, colour
+
+
+def _voxels(interior: NDArray[np.bool_]) -> tuple[Floats, Ints, Ints, Floats]:
+    """The squares between interior voxels and others."""
+    padded = np.pad(interior, 1)
+    corners = []
+    for axis in range(3):
+        first, second = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+        square = np.array([0 * first, first, first + second, second])
+        before, after = (
+            np.moveaxis(np.moveaxis(padded, axis, 0)[part], 0, axis)
+            for part in (slice(None, -1), slice(1, None))
+        )
+        for outside, ring in ((after & ~before, square[::-1]), (before & ~after, square)):
+            index = np.argwhere(outside).astype(np.float64) - 1
+            index[:, axis] += 1
+            corners.append(index[:, None] + ring)
+    quads = np.concatenate(corners)
+    first_corner = 4 * np.arange(len(quads))[:, None]
+    triangles = np.concatenate([first_corner + [0, 1, 2], first_corner + [0, 2, 3]])
+    group = np.tile(np.arange(len(quads)), 2)
+    return quads.reshape(-1, 3), triangles, group, np.tile(VOXEL, (len(triangles), 1))
+
+
+def _slice(source: Source, frame: ModelFrame, classified: Arrays, up: int, size: int) -> Floats:
+    """Seen along the second of the axes that are level; ``up`` is upward."""
+    along = next(axis for axis in (1, 2, 0) if axis != up)
+    across = 3 - up - along
+    interior, band = classified["interior"], classified["exterior"]
+    occupied = np.flatnonzero(interior.any(axis=tuple(a for a in range(3) if a != along)))
+    middle = int(occupied[len(occupied) // 2])
+    most = max(interior.shape)
+    pixel = (np.arange(size) + 0.5) / size * most
+    place = np.zeros((size, size, 3))
+    place[..., along] = middle + 0.5
+    place[..., across] = pixel[None, :] - 0.5 * (most - interior.shape[across])
+    place[..., up] = pixel[::-1, None] - 0.5 * (most - interior.shape[up])
+    index = np.floor(place).astype(np.int64)
+    there = ((index >= 0) & (index < interior.shape)).all(axis=2)
+    index = np.where(there[..., None], index, 0)
+    image = np.ones((size, size, 3))
+    image[there & band[tuple(np.moveaxis(index, 2, 0))]] = BAND
+    image[there & interior[tuple(np.moveaxis(index, 2, 0))]] = VOXEL
+    inside = source.inside(frame.input_from_model(place.reshape(-1, 3))).reshape(size, size)
+    line = np.zeros((size, size), dtype=bool)
+    line[:, 1:] |= inside[:, 1:] != inside[:, :-1]
+    line[1:] |= inside[1:] != inside[:-1]
+    image[line] = raster.LINE
+    return image

@@ -1,0 +1,58 @@
+"""Parts and gaps of a shape that are thinner than the voxels it is classified in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from ..surface.model_frame import ModelFrame
+from ..surface.sizing import thickness
+from .protocol import Source
+from .true_surface import true_surface
+from .voxels import VoxelGrid
+
+RESOLVED = 0.2
+"""Thickness, in voxels, that the finest cells of stage init still resolve."""
+WORTH_SAYING = 5e-3
+"""Share of the surface."""
+
+
+@dataclass(frozen=True)
+class ThinParts:
+    """Of samples of a surface; thicknesses in voxels."""
+
+    share: float
+    """Share of the surface whose opposite sheet, across the shape or a gap, is within a voxel."""
+    too_thin: float
+    """Share of it that has the opposite sheet within RESOLVED."""
+    lost: float
+    """Share of it that has no interior voxel beside it."""
+
+    def warning(self) -> str | None:
+        """What the user should know, if anything."""
+        said = [
+            f"{100 * share:.1f} % of the surface {what}"
+            for share, what in (
+                (self.too_thin, f"is of parts or gaps thinner than {RESOLVED:g} voxels"),
+                (self.lost, "has no interior voxel beside it"),
+            )
+            if share > WORTH_SAYING
+        ]
+        return " and ".join(said) + " and may be lost: raise -n" if said else None
+
+
+def thin_parts(source: Source, grid: VoxelGrid, threads: int) -> ThinParts:
+    """Of ``source``, classified as ``grid``."""
+    frame = ModelFrame(grid.origin, grid.spacing)
+    surface = true_surface(source, frame, threads)
+    across = thickness(surface.samples, surface.normals, 1.0)
+    at = np.floor(surface.samples).astype(np.int64)
+    at = np.clip(at, 0, np.array(grid.interior.shape) - 1)
+    beside = binary_dilation(grid.interior, np.ones((3, 3, 3)))
+    return ThinParts(
+        share=float((across < 1).mean()),
+        too_thin=float((across < RESOLVED).mean()),
+        lost=float((~beside[tuple(at.T)]).mean()),
+    )
