@@ -45,6 +45,7 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "source/noise": Layout((), "f", "standard deviation of the points", optional=True),
         "source/point_spacing": Layout((), "f", "typical spacing of the points", optional=True),
         "source/normals_agreement": Layout((), "f", "share of the given normals", optional=True),
+        "source/missed": Layout((), "f", "share of the points off the surface", optional=True),
     },
     "init": {
         "generators": Layout(("N", 3), "f", "generators"),

@@ -78,7 +78,6 @@ def run(context: Context) -> Outcome:
 
 def _memory(context: Context) -> float:
     from .sources.points import PointSource
-    from .sources.thin import thin_parts
 
     source = context.source()
     points = len(source.cloud.points) if isinstance(source, PointSource) else 0

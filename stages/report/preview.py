@@ -74,7 +74,9 @@ def _input(source: Source, frame: ModelFrame) -> tuple[Floats, Ints, Ints | None
     return _dots(surface.samples, np.zeros(len(surface.samples), dtype=bool), 0.15)
 
 
-def _dots(points: Floats, wrong: NDArray[np.bool_], edge: float) -> tuple[Floats, Ints, None, Floats]:
+def _dots(
+    points: Floats, wrong: NDArray[np.bool_], edge: float
+) -> tuple[Floats, Ints, None, Floats]:
     """A tetrahedron at each point."""
     corner = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     face = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
@@ -101,7 +103,8 @@ def _voxels(interior: NDArray[np.bool_]) -> tuple[Floats, Ints, Ints, Floats]:
             corners.append(index[:, None] + ring)
     quads = np.concatenate(corners)
     first_corner = 4 * np.arange(len(quads))[:, None]
-    triangles = np.concatenate([first_corner + [0, 1, 2], first_corner + [0, 2, 3]])
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    triangles = np.concatenate([first_corner + half for half in halves])
     group = np.tile(np.arange(len(quads)), 2)
     return quads.reshape(-1, 3), triangles, group, np.tile(VOXEL, (len(triangles), 1))
 

@@ -50,7 +50,7 @@ class Fits:
 
 @dataclass(frozen=True)
 class Cloud:
-    """``points (N, 3)`` with outward unit ``normals``, each standing for ``weights (N,)`` of them."""
+    """``points (N, 3)`` with outward unit ``normals``, each for ``weights (N,)`` of them."""
 
     points: Floats
     normals: Floats
@@ -116,5 +116,8 @@ class Cloud:
             residual = np.sqrt((weight * error**2).sum(axis=1) / total)
             out = OUTLYING * np.maximum(residual, 1e-9)[:, None]
             weight = given * np.maximum(1 - (error / out) ** 2, 0.0) ** 2
+        # Six coefficients make the points' distances less than their noise.
+        count = total**2 / np.maximum((weight**2).sum(axis=1), np.finfo(float).tiny)
+        residual *= np.sqrt(1 / np.maximum(1 - 6 / np.maximum(count, 6.0), 0.25))
         bend = (found[:, 3, 0] + found[:, 5, 0]) / window**2
         return np.stack([found[:, 0, 0], bend, weight.sum(axis=1), residual])

@@ -15,6 +15,9 @@ from .cloud_file import MOST, load
 from .mesh import TriangleSource
 from .reconstruction import AGREE, Reconstruction, reconstruct
 
+WORTH_SAYING = 5e-3
+"""Share of the points."""
+
 
 class PointSource(TriangleSource):
     """Points from a file, with or without normals."""
@@ -59,6 +62,7 @@ class PointSource(TriangleSource):
             "source/normals_agreement": np.array(
                 np.nan if found.agreement is None else found.agreement
             ),
+            "source/missed": np.array(found.missed),
         }
 
     def restore(self, stored: dict[str, Any]) -> None:
@@ -71,6 +75,7 @@ class PointSource(TriangleSource):
             float(stored["source/point_spacing"]),
             stored["source/kept"],
             None if np.isnan(agreement) else agreement,
+            float(stored["source/missed"]),
         )
 
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
@@ -95,6 +100,7 @@ class PointSource(TriangleSource):
             "point_spacing": found.spacing,
             "normals": self.cloud.normals is not None,
             "normals_agreement": found.agreement,
+            "missed": found.missed,
             "euler_number": facts.euler_number,
             "components": facts.components,
         }
@@ -111,6 +117,11 @@ class PointSource(TriangleSource):
             )
             if count
         ]
+        if found.missed > WORTH_SAYING:
+            said.append(
+                f"{100 * found.missed:.1f} % of the points lie off the surface that was made of "
+                "them: what is sampled too sparsely there, or is too thin, is lost"
+            )
         if found.agreement is not None and found.agreement < AGREE:
             said.append(
                 f"the given normals are not used: {100 * found.agreement:.0f} % of them agree with "

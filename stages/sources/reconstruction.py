@@ -12,15 +12,17 @@ from ..errors import InputError
 from ..surface.geometry import triangle_areas, vertex_normals
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges
-from .gauss import Dipoles, Grid, Single, outward
+from .gauss import PADDING, Dipoles, Grid, Single, outward
 from .local_fits import Cloud
 from .noise import noise, outliers, spacings, typical
 
-COARSE, FINE = 64, 128
+COARSE, FINE = 64, 192
 """Edges of the grid along the longest side: where the inside is found, and at most afterwards."""
+NODES = 1_600_000
+"""Of the fine grid, about."""
 CELL = 1.5
 """Points within an edge of the grid divided by this are one, at their mean."""
-FINER = 0.8
+FINER = 0.6
 """Edge of the fine grid, in typical spacings, at least."""
 AROUND = 2.0
 """Within so many edges of the grid, and noises, points are counted to see which are denser."""
@@ -28,12 +30,15 @@ WIDEST = 2.0
 """The side of a point's surface, in typical spacings, at most."""
 COARSER = 0.7
 """Edge of the fine grid, in standard deviations of the noise, at least."""
-STEPS, STEPS_NOISY, NOISY = 10, 4, 1.3
+STEPS, STEPS_NOISY, NOISY = 16, 4, 1.3
 """Steps to consistent normals; fewer from a noise of so many coarse edges."""
 LEVEL = 2.0
 """Width within which the level follows the points: in edges of the grid and in noises."""
 SMALLEST = 0.01
-"""Pieces and cavities smaller than this share of the largest piece are left out."""
+"""Pieces and cavities smaller than this share of the inside are left out, unless points hold
+them."""
+FEWEST, HELD = 20, 0.3
+"""Points that hold a piece, and what share of those that would lie on its surface."""
 FIT_ROUNDS, NEIGHBOURS = 3, 10
 FIT_CELL = 0.6
 """Points within this many standard deviations of the noise are one for the fits."""
@@ -41,6 +46,8 @@ SMOOTHING = 10
 """Steps of smoothing what the fits say, from a noise of an edge of the grid."""
 BOUND = 0.7
 """Mean curvature, over the noise, up to which the fits are believed."""
+MISSED, MISSED_NOISES = 1.5, 5.0
+"""Distance from which the surface misses a point, in typical spacings and in noises."""
 TOO_FEW = 5.0
 """Points that must count in a fit for its surface to move there."""
 UNDER = 1.08
@@ -66,6 +73,8 @@ class Reconstruction:
     agreement: float | None
     """Share of the given normals that agree with the winding number they make; they are used from
     AGREE."""
+    missed: float
+    """Share of the kept points that the surface does not pass near."""
 
 
 def reconstruct(
@@ -75,6 +84,8 @@ def reconstruct(
 
     Raises InputError when the points have no inside.
     """
+    import igl
+
     kept = ~outliers(points, threads)
     low = points[kept].min(axis=0)
     size = float(np.ptp(points[kept], axis=0).max())
@@ -86,7 +97,9 @@ def reconstruct(
     else:
         blur = given_noise / size
     coarse, first = _coarse(unit, apart, blur, threads)
-    edge = float(np.clip(max(FINER * apart, COARSER * blur), 1 / FINE, 1 / COARSE))
+    box = np.ptp(unit, axis=0) + 2 * PADDING
+    least = max(1 / FINE, float(np.cbrt(box.prod() / NODES)))
+    edge = float(np.clip(max(FINER * apart, COARSER * blur), least, 1 / COARSE))
     fine, weights, group = thinned(unit, edge / CELL)
     grid = Grid.around(fine, edge, threads)
     dipoles = Dipoles(grid, fine, _areas(grid, fine, weights, apart, blur), 0.5 * blur)
@@ -98,18 +111,22 @@ def reconstruct(
             start, steps = given, STEPS_GIVEN
     potential, _ = dipoles.consistent(start, steps)
     field = dipoles.above_surface(potential, max(LEVEL * edge, LEVEL * blur))
-    vertices, triangles = _level_set(grid, _without_specks(field))
+    vertices, triangles = _level_set(
+        grid, _without_specks(grid, field, fine, apart, noisy=blur > edge)
+    )
     vertices, blur = _fitted(
         vertices, triangles, unit, _at(grid, potential, unit), blur, given_noise is not None, edge,
         threads,
     )  # fmt: skip
+    square = igl.point_mesh_squared_distance(unit, vertices, triangles)[0]
+    missed = float((np.sqrt(square) > max(MISSED * apart, MISSED_NOISES * blur)).mean())
     return Reconstruction(
-        low + size * vertices, triangles, size * blur, size * apart, kept, agreement
+        low + size * vertices, triangles, size * blur, size * apart, kept, agreement, missed
     )
 
 
 def thinned(points: Floats, cell: float) -> tuple[Floats, Floats, Ints]:
-    """The means of the points in each cubic cell, how many there are, and the mean of each point."""
+    """The mean of the points in each cubic cell, how many they are, and the cell of each point."""
     index = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
     number = np.ravel_multi_index(tuple(index.T), tuple(index.max(axis=0) + 1))
     _, group, count = np.unique(number, return_inverse=True, return_counts=True)
@@ -163,18 +180,27 @@ def _checked(dipoles: Dipoles, normals: Floats, group: Ints) -> tuple[Single, fl
     return mean.astype(np.float32), agreement
 
 
-def _without_specks(field: Single) -> Single:
-    """``field``, positive inside, without small pieces and small cavities."""
-    from scipy.ndimage import label
+def _without_specks(grid: Grid, field: Single, points: Floats, apart: float, noisy: bool) -> Single:
+    """``field``, positive inside, without the small pieces and cavities that no ``points (N, 3)``
+    lie about as densely as on a surface; of noisy points that says nothing."""
+    from scipy.ndimage import binary_erosion, label
 
+    first = np.floor((points - grid.origin) / grid.spacing).astype(np.int64)
+    around = np.stack([first + corner for corner in np.ndindex(2, 2, 2)])
+    corners = np.ravel_multi_index(tuple(np.moveaxis(around, 2, 0)), grid.shape)
+    expected = (grid.spacing / max(apart, grid.spacing / CELL)) ** 2
     result = field.copy()
     for sign, joined in ((1, None), (-1, np.ones((3, 3, 3)))):
-        part, count = label(sign * result > 0, structure=joined)
+        solid = sign * result > 0
+        part, count = label(solid, structure=joined)
         if count == 0:
-            raise InputError("the points have no inside")
+            raise InputError("its points have no inside; are they of a closed surface?")
         size = np.bincount(part.reshape(-1))
-        size[0] = 0
         small = size < SMALLEST * (result > 0).sum()
+        if not noisy:
+            border = np.bincount(part[solid & ~binary_erosion(solid)], minlength=count + 1)
+            held = np.bincount(part.reshape(-1)[corners].max(axis=0), minlength=count + 1)
+            small &= held < np.maximum(FEWEST, HELD * expected * border)
         small[0] = False
         result = np.where(small[part], -result, result)
     return result
