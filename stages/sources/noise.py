@@ -18,11 +18,17 @@ LOW, UP = 25.0, 1.15
 each other residuals are too large, and most of the rest are a little too small."""
 ROUNDS, SETTLED = 8, 0.03
 NEIGHBOURS = 8
-LONELY = 4.0
-"""A point is alone whose neighbours are this many times as far as its neighbours' are."""
-SPARSE, ROUND = 5.0, 0.1
-"""A point is out whose neighbours are this many times as far as usual, and lie all around it: the
-least of their variances is above this share of the largest."""
+AROUND = 64
+"""Points around one whose neighbours' distances are the usual ones there."""
+PASSES = 8
+"""Over the points: without its like, what is left of a thin cloud stands alone."""
+ROUND = 0.1
+"""Neighbours lie all around a point if the least of their variances is above this share of the
+largest; on a surface they do not."""
+SPARSE, SPARSE_HERE = 4.0, 3.0
+"""Such a point is out if its neighbours are this many times as far as everywhere, or around."""
+LONELY, LONELY_HERE = 4.0, 6.0
+"""Any point is out if they are this many times as far as its neighbours' are, or around."""
 
 
 def spacings(points: Floats, threads: int = 1) -> Floats:
@@ -79,19 +85,31 @@ def outliers(points: Floats, threads: int = 1) -> NDArray[np.bool_]:
     from scipy.spatial import cKDTree
 
     out = np.zeros(len(points), dtype=bool)
-    if len(points) <= 4 * NEIGHBOURS:
-        return out
     left = np.arange(len(points))
-    for _ in range(2):
+    for _ in range(PASSES):
+        if len(left) <= AROUND:
+            break
         here = points[left]
-        distance, near = cKDTree(here).query(here, NEIGHBOURS + 1, workers=threads)
+        tree = cKDTree(here)
+        distance, near = tree.query(here, NEIGHBOURS + 1, workers=threads)
         far = distance[:, -1]
-        lonely = far > LONELY * np.median(far[near[:, 1:]], axis=1)
-        sparse = np.flatnonzero(far > SPARSE * np.median(far))
-        around = here[near[sparse]]
+        middle = np.median(far)
+        # The others are where the cloud is dense.
+        asked = np.flatnonzero(far > 0.5 * SPARSE_HERE * middle)
+        if len(asked) == 0:
+            break
+        usual = np.median(far[tree.query(here[asked], AROUND, workers=threads)[1]], axis=1)
+        around = here[near[asked]]
         around = around - around.mean(axis=1, keepdims=True)
         variance = np.linalg.eigvalsh(around.transpose(0, 2, 1) @ around)
-        lonely[sparse[variance[:, 0] > ROUND * variance[:, 2]]] = True
-        out[left[lonely]] = True
-        left = left[~lonely]
+        all_around = variance[:, 0] > ROUND * variance[:, 2]
+        apart = far[asked]
+        lonely = (apart > LONELY * np.median(far[near[asked, 1:]], axis=1)) | (
+            apart > LONELY_HERE * usual
+        )
+        lonely |= all_around & ((apart > SPARSE * middle) | (apart > SPARSE_HERE * usual))
+        if not lonely.any():
+            break
+        out[left[asked[lonely]]] = True
+        left = left[~out[left]]
     return out
