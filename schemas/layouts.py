@@ -39,8 +39,12 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "spacing": Layout((), "f", "h0, edge of a voxel"),
         "interior": Layout(("X", "Y", "Z"), "b", "M_in"),
         "exterior": Layout(("X", "Y", "Z"), "b", "M_ext, the band outside"),
-        "source/vertices": Layout(("Vp", 3), "f", "of a point cloud's surface", optional=True),
-        "source/triangles": Layout(("Tp", 3), "i", "of a point cloud's surface", optional=True),
+        "source/vertices": Layout(
+            ("Vp", 3), "f", "of the surface made of the input", optional=True
+        ),
+        "source/triangles": Layout(
+            ("Tp", 3), "i", "of the surface made of the input", optional=True
+        ),
         "source/kept": Layout(("P",), "b", "points that do not lie out", optional=True),
         "source/noise": Layout((), "f", "standard deviation of the points", optional=True),
         "source/point_spacing": Layout((), "f", "typical spacing of the points", optional=True),

@@ -29,18 +29,27 @@ class Params(contract.Params):
     noise: Positive | None = None
     """Standard deviation of a point cloud's noise, in the input's units; estimated by default."""
 
+    repair: bool = False
+    """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
+
 
 def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
     from .sources import voxels
+    from .sources.mesh import MeshSource
     from .sources.points import PointSource
     from .sources.thin import thin_parts
 
     source = context.source()
+    params = context.params
     if isinstance(source, PointSource):
-        source.given_noise, source.threads = context.params.noise, context.threads
-    elif context.params.noise is not None:
+        source.given_noise, source.threads = params.noise, context.threads
+    elif params.noise is not None:
         raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
+    if isinstance(source, MeshSource):
+        source.repair = params.repair
+    elif params.repair:
+        raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
     context.progress.start("classify", 2 * voxels.ROUNDS)
     done = 0
 
@@ -49,7 +58,7 @@ def run(context: Context) -> Outcome:
         done += 1
         context.progress.advance(done)
 
-    grid = voxels.classify(source, context.params.n_init, context.random, tick)
+    grid = voxels.classify(source, params.n_init, context.random, tick)
     low, high = source.bounding_box()
     thin = thin_parts(source, grid, context.threads)
     return Outcome(

@@ -25,7 +25,7 @@ from .standing import (
     State,
     check_same_input,
     get,
-    recorded_input,
+    input_of,
     relative,
     state,
     takes_input,
@@ -53,7 +53,7 @@ def execute(session: Session, name: str, params: Params) -> Result:
     found = _standing(session, stage, params)
     if found is not None:
         return found
-    source = session.input or recorded_input(session.folder)
+    source = input_of(session)
     if source is None:
         raise UsageError("give an INPUT: a mesh file or the name of a built-in field")
     if name == "classify":
@@ -252,6 +252,7 @@ def command_line(session: Session, stage: Stage, params: Params, source: Identit
         else:
             words += [option.flag, str(value)]
     words += ["--seed", str(session.seed)] if session.seed else []
+    words += ["--allow-code"] if session.allow_code else []
     words += ["--device", session.device] if session.device != "cpu" else []
     words += ["--backend", session.backend] if session.backend != "scipy" else []
     return shlex.join(words)

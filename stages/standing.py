@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import importlib
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from .artifacts import fingerprint, manifest
 from .artifacts.run_folder import RunFolder
 from .contract import Params, Progress, Silent, Stage, options
-from .errors import ArtifactError
-from .sources.resolve import Identity, identify
+from .errors import ArtifactError, InputError
+from .sources.resolve import Identity, identify, identify_field
 
 ORDER = ("classify", "init", "sphere-train", "volume", "evaluate", "fabricate")
 SETTINGS = ("seed", "device", "backend")
@@ -43,6 +43,8 @@ class Session:
     threads: int = field(default_factory=available_threads)
     device: str = "cpu"
     backend: str = "scipy"
+    allow_code: bool = False
+    """Whether fields that are Python code may be run."""
     max_memory_mb: float | None = None
     """What a stage may be estimated to need; None for what is free."""
     force: bool = False
@@ -76,13 +78,22 @@ def recorded_input(folder: RunFolder) -> Identity | None:
         return None
     entry = stored["inputs"][0]
     if entry["path"] is None:
-        return Identity(entry["kind"], entry["name"], None, None, None)
+        try:
+            return identify_field(entry["name"])
+        except InputError:  # the module of a function is gone
+            return Identity(entry["kind"], entry["name"], None, None, entry["sha256"])
     path = folder.path / entry["path"]
     if not path.is_file():
         return Identity(entry["kind"], entry["name"], path, entry["bytes"], entry["sha256"])
     return Identity(
         entry["kind"], entry["name"], path, path.stat().st_size, fingerprint.of_file(path)
     )
+
+
+def input_of(session: Session) -> Identity | None:
+    """The input given, or else recorded, with leave to run it if it is code."""
+    found = session.input or recorded_input(session.folder)
+    return found and replace(found, allow_code=session.allow_code)
 
 
 def _extra_input(
@@ -134,7 +145,7 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
         stored = session.folder.manifest(stage.stem_of(params))
         settings = {key: getattr(session, key) for key in SETTINGS}
     parents = [state(session, parent) for parent in stage.parents(params)]
-    source = (session.input or recorded_input(session.folder)) if takes_input(stage) else None
+    source = input_of(session) if takes_input(stage) else None
     extra = {
         role: _extra_input(session.folder, stored, role, path)
         for role, path in stage.extra_inputs(params).items()

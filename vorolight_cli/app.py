@@ -190,7 +190,7 @@ def _draw(common: Common) -> None:
     from vorolight.stages.report import preview
 
     folder = common.session.folder
-    source = common.session.input or standing.recorded_input(folder)
+    source = standing.input_of(common.session)
     if source is not None:
         opened = source.open(folder.arrays("classify", "classify"))
         common.console.say(f"preview: {preview.write(folder, opened)}")

@@ -29,8 +29,12 @@ Field = Annotated[
     str | None,
     typer.Option(
         "--field",
-        help="In place of INPUT: a formula in x, y and z, negative inside: 'x**2+y**2+z**2-1'.",
+        help="In place of INPUT: a formula in x, y and z, negative inside: 'x**2+y**2+z**2-1', or "
+        "MODULE:FUNCTION.",
     ),
+]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="Let a field MODULE:FUNCTION be imported and run.")
 ]
 Kind = Annotated[
     str | None,
@@ -106,6 +110,7 @@ def common_options(
     input: Input = None,
     field: Field = None,
     kind: Kind = None,
+    allow_code: AllowCode = False,
     run: Run = None,
     seed: Seed = None,
     threads: Threads = None,
@@ -138,6 +143,7 @@ def common_options(
         threads=threads or standing.available_threads(),
         device=device,
         backend=backend,
+        allow_code=allow_code,
         max_memory_mb=None if max_memory is None else 1000 * max_memory,
         force=force,
         touch=touch,

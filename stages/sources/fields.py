@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, PolygonMesh
+from . import code
 from .expression import Formula, parse, search_box
 from .grid import load
 
@@ -78,23 +79,26 @@ FIELDS = {
 
 @dataclass(frozen=True)
 class FieldSource:
-    """A built-in field, the formula that is its name, or the samples in a file."""
+    """A built-in field, the formula or function that is its name, or the samples in a file."""
 
     name: str
     kind: str = "field"
     path: Path | None = None
+    allow_code: bool = False
 
     @cached_property
     def field(self) -> Field:
         """Raises InputError for a formula that is not allowed or has no bounded inside, and for a
-        file that holds no field."""
+        file that holds no field, UsageError for code that is not allowed."""
         if self.path is not None:
             sampled = load(self.path)
             radius = 0.5 * float(np.linalg.norm(sampled.box[1] - sampled.box[0]))
             return Field(sampled, sampled.box, radius)
         if self.name in FIELDS:
             return FIELDS[self.name]
-        formula = parse(self.name)
+        formula = (
+            code.load(self.name, self.allow_code) if code.is_code(self.name) else parse(self.name)
+        )
         box = search_box(
             lambda at: np.asarray(formula(at[:, 0], at[:, 1], at[:, 2], np)), self.name
         )

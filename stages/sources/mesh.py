@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, edges, split_pinched, topology
 from .mesh_file import load
 from .parity import RayParity
+from .repair_child import repaired
 from .winding import WindingNumber, winding_number
 
 ROUNDING = 1e-6
@@ -24,6 +26,14 @@ UNSURE = 0.25
 """What is nearer to LEVEL than this may be inside or not."""
 SAMPLES = 20_000
 """Points that are asked how sure they are."""
+
+
+def welded(mesh: PolygonMesh) -> PolygonMesh:
+    """``mesh`` with one vertex at every place, so that neighbours share edges."""
+    places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return PolygonMesh(
+        places, mesh.face_offsets, same.reshape(-1)[mesh.face_vertices].astype(np.int64)
+    )
 
 
 class TriangleSource:
@@ -57,13 +67,8 @@ class TriangleSource:
 
     @cached_property
     def welded(self) -> PolygonMesh:
-        """The polygons with one vertex at every place, so that neighbours share edges."""
-        places, same = np.unique(self.polygons.vertices, axis=0, return_inverse=True)
-        return PolygonMesh(
-            places,
-            self.polygons.face_offsets,
-            same.reshape(-1)[self.polygons.face_vertices].astype(np.int64),
-        )
+        """The polygons with one vertex at every place."""
+        return welded(self.polygons)
 
     @cached_property
     def _rays(self) -> RayParity:
@@ -146,9 +151,12 @@ class MeshSource(TriangleSource):
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, path.stem
         self.loaded = load(path)
+        self.repair = False
 
     @cached_property
     def polygons(self) -> PolygonMesh:
+        if self.repair:
+            return repaired(self.loaded.polygons, str(self.path))
         return self.loaded.polygons
 
     def describe(self) -> dict[str, Any]:
@@ -157,7 +165,8 @@ class MeshSource(TriangleSource):
             "name": self.name,
             "vertices": self.polygons.vertex_count,
             "faces": self.polygons.face_count,
-            "polygons_kept": self.loaded.polygons_kept,
+            "polygons_kept": self.loaded.polygons_kept and not self.repair,
+            "repaired": self.repair,
             "open_edges": self.open_edges,
             "doubled_faces": self.winding.doubled if self.open_edges else 0,
             "turned_faces": self.winding.turned if self.open_edges else 0,
@@ -165,9 +174,28 @@ class MeshSource(TriangleSource):
         }
 
     def state(self) -> dict[str, Any]:
-        return {}
+        if not self.repair:
+            return {}
+        return {"source/vertices": self.vertices, "source/triangles": self.triangles}
+
+    def restore(self, stored: Mapping[str, Any]) -> None:
+        """Take what ``state`` was, of the same mesh."""
+        if "source/vertices" in stored:
+            self.__dict__["polygons"] = PolygonMesh.of_triangles(
+                stored["source/vertices"], stored["source/triangles"]
+            )
 
     def warnings(self) -> list[str]:
+        said = []
+        if self.repair:
+            before, after = self.loaded.polygons, self.polygons
+            said.append(
+                f"repaired: {before.face_count} faces with {len(bad_edges(welded(before)))} bad "
+                f"edges are now {after.face_count} with {self.open_edges}"
+            )
+        return said + self._open_warnings()
+
+    def _open_warnings(self) -> list[str]:
         if self.open_edges == 0:
             return []
         taken = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ class PointSource(TriangleSource):
             "source/missed": np.array(found.missed),
         }
 
-    def restore(self, stored: dict[str, Any]) -> None:
+    def restore(self, stored: Mapping[str, Any]) -> None:
         """Take what ``state`` was, of the same points."""
         agreement = float(stored["source/normals_agreement"])
         self.__dict__["reconstruction"] = Reconstruction(

@@ -32,6 +32,8 @@ class Identity:
     path: Path | None
     bytes: int | None
     sha256: str | None
+    allow_code: bool = False
+    """Whether a field that is Python code may be run."""
 
     @property
     def stem(self) -> str:
@@ -55,11 +57,9 @@ class Identity:
         from .points import PointSource
 
         if self.kind == "field":
-            return FieldSource(self.name, path=self.path)
+            return FieldSource(self.name, path=self.path, allow_code=self.allow_code)
         assert self.path is not None
-        if self.kind == "mesh":
-            return MeshSource(self.path)
-        source = PointSource(self.path)
+        source = MeshSource(self.path) if self.kind == "mesh" else PointSource(self.path)
         if stored is not None:
             source.restore(stored)
         return source
@@ -115,10 +115,17 @@ def identify(text: str, kind: str | None = None) -> Identity:
 
 
 def identify_field(text: str) -> Identity:
-    """The field called ``text``, or with ``text`` as its formula. Raises InputError."""
+    """The field called ``text``, or with ``text`` as its formula, or as ``module:function``.
+
+    Raises InputError.
+    """
+    from .code import file_of, is_code
     from .expression import parse
     from .fields import FIELDS
 
+    if is_code(text):
+        # A change of the code is a change of the input.
+        return Identity("field", text, None, None, fingerprint.of_file(file_of(text)))
     if text not in FIELDS:
         parse(text)
     return Identity("field", text, None, None, None)
