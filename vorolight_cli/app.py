@@ -139,8 +139,8 @@ def _execute(common: Common, name: str, params: Any) -> bool:
 def _stage_command(name: str) -> None:
     stage = standing.get(name)
     served = [standing.get("classify"), stage] if name == "init" else [stage]
-    own = {"evaluate": [_strict], "classify": [_preview]}
-    templates: list[Function] = [common_options, *own.get(name, [])]
+    own: dict[str, list[Function]] = {"evaluate": [_strict], "classify": [_preview]}
+    templates = [common_options, *own.get(name, [])]
 
     def command(**given: Any) -> None:
         names = parameter_names(served)

@@ -195,10 +195,11 @@ class Dipoles:
 
         near = spread(trust)
         usual = float(np.median(self.values(near)))
-        return potential - base - spread(trust * (values - base)) / (near + FADES * usual)
+        level = base + spread(trust * (values - base)) / (near + FADES * usual)
+        return np.asarray(potential - level, np.float32)
 
 
-def outward(gradient: Single) -> Single:
+def outward(gradient: NDArray[Any]) -> NDArray[Any]:
     """Unit vectors against ``gradient (N, 3)``."""
     size = np.linalg.norm(gradient, axis=1, keepdims=True)
     return np.asarray(-gradient / np.maximum(size, np.finfo(np.float32).tiny))

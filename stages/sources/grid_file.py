@@ -67,7 +67,8 @@ def read(path: Path) -> Samples:
 def _nrrd_error() -> type[Exception]:
     import nrrd
 
-    return nrrd.NRRDError
+    error: type[Exception] = nrrd.NRRDError
+    return error
 
 
 def _npz(path: Path) -> Samples:
@@ -123,7 +124,7 @@ def _nrrd(raw: bytes) -> Samples:
 def _upward(values: NDArray[Any], origin: Floats, step: Floats) -> Samples:
     """With the axes that run downward turned."""
     for axis in np.flatnonzero(step < 0):
-        values = np.flip(values, axis)
+        values = np.flip(values, int(axis))
         origin = origin + np.eye(3)[axis] * step * (values.shape[axis] - 1)
     return Samples(values, origin, np.abs(step))
 

@@ -78,11 +78,16 @@ class Cloud:
         near = int(np.clip(np.percentile(count, 90), FEWEST, MOST))
         near = min(near, len(self.points))
         step = max(1, AT_ONCE // near)
-        given = (places, normals, window, height)
         starts = range(0, len(places), step)
         with ThreadPoolExecutor(self.threads) as pool:
             parts = pool.map(
-                lambda start: self._fit(*(each[start : start + step] for each in given), near),
+                lambda start: self._fit(
+                    places[start : start + step],
+                    normals[start : start + step],
+                    window[start : start + step],
+                    height[start : start + step],
+                    near,
+                ),
                 starts,
             )
             return Fits(*np.concatenate(list(parts), axis=1))

@@ -130,8 +130,13 @@ def thinned(points: Floats, cell: float) -> tuple[Floats, Floats, Ints]:
     index = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
     number = np.ravel_multi_index(tuple(index.T), tuple(index.max(axis=0) + 1))
     _, group, count = np.unique(number, return_inverse=True, return_counts=True)
-    mean = np.stack([np.bincount(group, axis) for axis in points.T], axis=1) / count[:, None]
+    mean = _sums(group, points) / count[:, None]
     return mean, count.astype(np.float64), group
+
+
+def _sums(group: Ints, vectors: Any) -> Floats:
+    """The sum of the ``vectors (N, 3)`` of each of the groups, all of which have some."""
+    return np.stack([np.bincount(group, axis) for axis in vectors.T.astype(np.float64)], axis=1)
 
 
 def _coarse(points: Floats, apart: float, blur: float, threads: int) -> tuple[Grid, Single]:
@@ -171,7 +176,7 @@ def _checked(dipoles: Dipoles, normals: Floats, group: Ints) -> tuple[Single, fl
     of them that agrees with the winding number they make."""
     size = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.maximum(size, np.finfo(float).tiny)
-    mean = outward(-np.stack([np.bincount(group, axis) for axis in normals.T], axis=1))
+    mean = outward(-_sums(group, normals))
     potential = dipoles.potential(mean.astype(np.float32))
     if np.median(dipoles.values(potential)) < 0:  # outside it is zero
         normals, mean, potential = -normals, -mean, -potential
@@ -284,6 +289,6 @@ def _as_cloud(points: Floats, normals: Floats, blur: float, threads: int) -> Clo
     if FIT_CELL * blur < typical(spacings(points, threads)):
         return Cloud(points, normals, np.ones(len(points)), threads)
     at, weights, group = thinned(points, FIT_CELL * blur)
-    mean = np.stack([np.bincount(group, axis) for axis in normals.T], axis=1)
+    mean = _sums(group, normals)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
     return Cloud(at, mean, weights, threads)
