@@ -11,8 +11,10 @@ import torch
 from conftest import QUICK, Cli
 
 from vorolight.stages.errors import InputError
+from vorolight.stages.sources import grid_file
 from vorolight.stages.sources.fields import FieldSource
 from vorolight.stages.sources.grid import load
+from vorolight.stages.sources.resolve import identify
 
 
 def ellipsoid(path: Path, count: int = 24) -> Path:
@@ -101,7 +103,99 @@ def test_a_run_of_samples(tmp_path: Path, cli: Cli) -> None:
     assert found["metrics"]["volume"] == pytest.approx(8 / 3 * np.pi, rel=0.06)
     done = cli("status", "egg.npz", cwd=tmp_path)
     assert "stale" not in done.stdout
-    np.save(tmp_path / "points.npy", np.zeros((50, 3)))
-    done = cli("classify", "points.npy", cwd=tmp_path)
+    np.save(tmp_path / "flat.npy", np.zeros((50, 3, 50)))
+    done = cli("classify", "flat.npy", cwd=tmp_path)
     assert done.returncode == 3
-    assert "points.npy: holds samples of shape (50, 3)" in done.stderr
+    assert "flat.npy: holds samples of shape (50, 3, 50)" in done.stderr
+
+
+def _vti(
+    path: Path, values: np.ndarray, mode: str, compressed: bool, wide: bool, big: bool
+) -> None:
+    """Write with VTK; the extent does not begin at zero."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk
+
+    image = vtk.vtkImageData()
+    a, b, c = values.shape
+    image.SetExtent(2, 1 + a, 0, b - 1, -1, c - 2)
+    image.SetOrigin(1, 2, 3)
+    image.SetSpacing(0.5, 0.25, 2)
+    image.GetPointData().SetScalars(numpy_to_vtk(values.ravel(order="F"), deep=True))
+    writer = vtk.vtkXMLImageDataWriter()
+    writer.SetFileName(str(path))
+    writer.SetInputData(image)
+    if mode == "text":
+        writer.SetDataModeToAscii()
+    elif mode == "binary":
+        writer.SetDataModeToBinary()
+    else:
+        writer.SetDataModeToAppended()
+        writer.SetEncodeAppendedData(mode == "appended")
+    if compressed:
+        writer.SetCompressorTypeToZLib()
+        writer.SetBlockSize(48)
+    else:
+        writer.SetCompressorTypeToNone()
+    (writer.SetHeaderTypeToUInt64 if wide else writer.SetHeaderTypeToUInt32)()
+    (writer.SetByteOrderToBigEndian if big else writer.SetByteOrderToLittleEndian)()
+    writer.Write()
+
+
+@pytest.mark.parametrize("mode", ["text", "binary", "appended", "raw"])
+@pytest.mark.parametrize("kind", ["f4", "f8", "i2"])
+def test_vti_as_vtk_writes_it(tmp_path: Path, mode: str, kind: str) -> None:
+    values = (10 * np.random.default_rng(0).standard_normal((5, 6, 7))).astype(kind)
+    for number in range(8):
+        compressed, wide, big = (bool(number & bit) for bit in (1, 2, 4))
+        _vti(tmp_path / "a.vti", values, mode, compressed, wide, big)
+        found = grid_file.read(tmp_path / "a.vti")
+        # As text VTK writes single precision with fewer digits than it has.
+        assert np.allclose(found.values, values, atol=1e-5 if mode == "text" else 0.0)
+        assert np.allclose(found.origin, [2, 2, 1])
+        assert np.allclose(found.spacing, [0.5, 0.25, 2])
+
+
+@pytest.mark.parametrize("encoding", ["raw", "gzip", "ascii"])
+@pytest.mark.parametrize("kind", ["f4", "f8", "i2", "u1"])
+def test_nrrd(tmp_path: Path, encoding: str, kind: str) -> None:
+    import nrrd
+
+    values = np.random.default_rng(0).integers(0, 100, (5, 6, 7)).astype(kind)
+    header = {
+        "encoding": encoding,
+        "space": "left-posterior-superior",
+        "space origin": [1, 2, 3],
+        "space directions": np.diag([0.5, -0.25, 2.0]),
+    }
+    nrrd.write(str(tmp_path / "a.nrrd"), values, header)
+    found = grid_file.read(tmp_path / "a.nrrd")
+    # An axis that runs downward is turned.
+    assert np.array_equal(found.values, values[:, ::-1])
+    assert np.allclose(found.origin, [1, 2 - 5 * 0.25, 3])
+    assert np.allclose(found.spacing, [0.5, 0.25, 2])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n"
+         b"data file: /etc/passwd\n\n", "another file"),
+        ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 9999 9999 9999\n"
+         b"encoding: gzip\n\nabc", "more than"),
+        ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\nabc",
+         "readable"),
+        ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: text\n"
+         b"space directions: (1,1,0) (0,1,0) (0,0,1)\n\n" + b"1 " * 64, "axes"),
+        ("a.vti", b"<VTKFile type='PolyData'/>", "no ImageData"),
+        ("a.vti", b"<!DOCTYPE a [<!ENTITY b 'c'>]><VTKFile/>", "entities"),
+        ("a.vti", b"<VTKFile type='ImageData'><ImageData><Piece/></ImageData></VTKFile>",
+         "no scalars"),
+    ],
+)  # fmt: skip
+def test_bad_grids(tmp_path: Path, name: str, content: bytes, said: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said) as error:
+        identify(str(path)).open().bounding_box()
+    assert str(path) in str(error.value)

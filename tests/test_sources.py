@@ -17,7 +17,9 @@ from vorolight.stages.sources.fields import FIELDS, FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.mesh_file import load
 from vorolight.stages.sources.parity import RayParity
+from vorolight.stages.sources.thin import thin_parts
 from vorolight.stages.sources.true_surface import true_surface
+from vorolight.stages.sources.voxels import VoxelGrid
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.voronoi.interface import interface
 from vorolight.stages.voronoi.reflection import reflect
@@ -50,7 +52,7 @@ def test_parity_on_a_lattice_through_the_edges_of_a_cube(tmp_path: Path) -> None
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     source = MeshSource(write_obj(tmp_path / "cube.obj", corners, quads))
     assert source.polygons.valences.tolist() == [4] * 6
-    assert source.polygons_kept
+    assert source.loaded.polygons_kept
     assert source.median_edge_length() == 1
     axis = np.linspace(-0.5, 1.5, 9)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
@@ -245,3 +247,53 @@ def test_cells_without_surface_are_in_or_out(tmp_path: Path) -> None:
     opened = MeshSource(write_ply(tmp_path / "open.ply", vertices, triangles[1:]))
     # Beside the hole the inside ends without a triangle.
     assert (opened.may_cross(origin, edge, shape) >= crossed).all()
+
+
+def test_repair_closes_and_is_said(tmp_path: Path) -> None:
+    source = cut_sphere(tmp_path / "a.obj", turned=100, doubled=50)
+    before = source.path.read_bytes()
+    assert source.open_edges > 0
+    mended = MeshSource(source.path)
+    mended.repair = True
+    assert mended.open_edges == 0
+    assert mended.topology() == (2, 1)
+    assert "bad edges are now" in mended.warnings()[0]
+    assert source.path.read_bytes() == before
+    again = MeshSource(source.path)
+    again.restore(mended.state())
+    points = np.random.default_rng(0).uniform(-1.2, 1.2, (2000, 3))
+    assert np.array_equal(again.inside(points), mended.inside(points))
+
+
+def test_repair_fails_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from vorolight.stages.sources import repair_child
+
+    source = MeshSource(write_ply(tmp_path / "a.ply", *sphere_mesh()))
+    source.repair = True
+    monkeypatch.setattr(repair_child.sys, "executable", "false")
+    with pytest.raises(InputError, match=r"a\.ply: --repair by pymeshlab failed"):
+        source.polygons  # noqa: B018
+
+
+def test_thin_parts_are_measured(tmp_path: Path) -> None:
+    import trimesh
+
+    solid = trimesh.util.concatenate(
+        [
+            trimesh.creation.box((2, 2, 1)),
+            # A plate of a tenth of a voxel, and a rod of half a voxel.
+            trimesh.creation.box((2, 2, 0.02)).apply_translation([0, 0, 2]),
+            trimesh.creation.box((2, 0.1, 0.1)).apply_translation([0, 0, 3]),
+        ]
+    )
+    solid.export(tmp_path / "a.ply")
+    source = MeshSource(tmp_path / "a.ply")
+    grid = classified(source, 18)  # of 4 / 18 = 0.2 or so
+    found = thin_parts(source, grid, 2)
+    plate, rod, box = 2 * 4 + 8 * 0.02, 4 * 2 * 0.1 + 0.02, 2 * 4 + 8.0
+    assert found.too_thin == pytest.approx((plate - 0.16) / (plate + rod + box), abs=0.03)
+    assert found.share == pytest.approx((plate - 0.16 + rod) / (plate + rod + box), abs=0.03)
+    assert found.lost < 0.01  # thirty-five samples hit a tenth of a voxel almost surely
+    assert "thinner than 0.2 voxels" in str(found.warning())
+    empty = VoxelGrid(grid.origin, grid.spacing, np.zeros_like(grid.interior), grid.exterior)
+    assert thin_parts(source, empty, 2).lost == 1

@@ -8,13 +8,14 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from ..surface.model_frame import ModelFrame
-from ..surface.sizing import thickness
 from .protocol import Source
 from .true_surface import true_surface
 from .voxels import VoxelGrid
 
 RESOLVED = 0.2
 """Thickness, in voxels, that the finest cells of stage init still resolve."""
+STEPS = (RESOLVED, 0.35, 0.5, 0.7, 1.0)
+"""Lengths that are tried, in voxels."""
 WORTH_SAYING = 5e-3
 """Share of the surface."""
 
@@ -47,12 +48,16 @@ def thin_parts(source: Source, grid: VoxelGrid, threads: int) -> ThinParts:
     """Of ``source``, classified as ``grid``."""
     frame = ModelFrame(grid.origin, grid.spacing)
     surface = true_surface(source, frame, threads)
-    across = thickness(surface.samples, surface.normals, 1.0)
+    # Where a step to one side ends on the other, a sheet has been crossed.
+    thin = np.zeros((len(STEPS), len(surface.samples)), dtype=bool)
+    for row, step in zip(thin, STEPS, strict=True):
+        row |= ~surface.inside(surface.samples - step * surface.normals)
+        row |= surface.inside(surface.samples + step * surface.normals)
     at = np.floor(surface.samples).astype(np.int64)
     at = np.clip(at, 0, np.array(grid.interior.shape) - 1)
     beside = binary_dilation(grid.interior, np.ones((3, 3, 3)))
     return ThinParts(
-        share=float((across < 1).mean()),
-        too_thin=float((across < RESOLVED).mean()),
+        share=float(thin.any(axis=0).mean()),
+        too_thin=float(thin[0].mean()),
         lost=float((~beside[tuple(at.T)]).mean()),
     )
