@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-found table-scales check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -83,6 +83,21 @@ TABLE_FACES ?= triangle
 table: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
 		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Point clouds sampled on meshes, compared with them; NOISE is in percent of the diagonal.
+POINTS ?= 153600
+NOISE ?= 0
+table-clouds: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/clouds.py -n $(N) --points $(POINTS) --noise $(NOISE) \
+		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Shapes as found, compared with what is made of them.
+table-found: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/found.py -n $(N) $(MESHES)
+
+# One mesh in other units and frames.
+table-scales: $(INPUT) $(VENV)/installed
+	$(BIN)/python tests/benchmarks/scales.py -n $(N) $(INPUT)
 
 # Loss against iterations, by several optimisers of the first surface.
 bench-init: $(INPUT) $(VENV)/installed

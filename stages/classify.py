@@ -31,12 +31,17 @@ class Params(contract.Params):
 
     repair: bool = False
     """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
+    thickness: Positive | None = None
+    """Take a mesh as a sheet this thick, in the input's units; 0: as a solid. By default a sheet
+    of a voxel if it encloses next to nothing beyond doubt."""
 
 
 def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
+    import numpy as np
+
     from .sources import voxels
-    from .sources.mesh import MeshSource
+    from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
     from .sources.thin import thin_parts
 
@@ -48,6 +53,12 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
     if isinstance(source, MeshSource):
         source.repair = params.repair
+        thickness = params.thickness
+        if thickness is None and (source.flat or source.sureness < SHEET):
+            thickness = float(np.ptp(source.bounding_box(), axis=0).max()) / params.n_init
+        source.take_as_sheet(thickness or 0.0)
+    elif params.thickness is not None:
+        raise UsageError(f"--thickness: the input is a {source.kind}; only a mesh can be a sheet")
     elif params.repair:
         raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
     context.progress.start("classify", 2 * voxels.ROUNDS)

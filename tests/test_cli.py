@@ -193,7 +193,7 @@ BAD = [
     (["init", "text.obj"], 3, "no surface"),
     (["init", "nan.obj"], 3, "not finite"),
     (["init", "points.obj"], 3, "no surface"),
-    (["init", "flat.obj"], 3, "flat"),
+    (["init", "line.obj"], 3, "on a line"),
     (["init", "heart", "-n", 4], 2, "from 5 to 512"),
     (["init", "heart", "-n", 513], 2, "from 5 to 512"),
     (["init", "heart", "-n", "many"], 2, "valid integer"),
@@ -224,7 +224,7 @@ def test_bad_input(words: list[object], code: int, reason: str, tmp_path: Path, 
         "text.obj": "Dear friend,\nthis is no mesh.\n",
         "nan.obj": "v 0 0 nan\nv 1 0 0\nv 0 1 1\nf 1 2 3\n",
         "points.obj": "v 0 0 0\nv 1 0 0\nv 0 1 1\n",
-        "flat.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+        "line.obj": "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n",
         "unwritable": "a file where a folder should be",
     }
     for name, content in files.items():

@@ -17,9 +17,11 @@ from vorolight.stages.sources.fields import FIELDS, FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.mesh_file import load
 from vorolight.stages.sources.parity import RayParity
+from vorolight.stages.sources.sheet import thickened
 from vorolight.stages.sources.thin import thin_parts
 from vorolight.stages.sources.true_surface import true_surface
 from vorolight.stages.sources.voxels import VoxelGrid
+from vorolight.stages.surface.geometry import enclosed_volume
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.voronoi.interface import interface
 from vorolight.stages.voronoi.reflection import reflect
@@ -181,7 +183,7 @@ BAD = {
     "short.obj": (b"v 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "fewer than three"),
     "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "not there"),
     "nan.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "not finite"),
-    "flat.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "flat"),
+    "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "on a line"),
     "text.ply": (b"hello", "no PLY header"),
     "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
                 b"property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
@@ -297,3 +299,27 @@ def test_thin_parts_are_measured(tmp_path: Path) -> None:
     assert "thinner than 0.2 voxels" in str(found.warning())
     empty = VoxelGrid(grid.origin, grid.spacing, np.zeros_like(grid.interior), grid.exterior)
     assert thin_parts(source, empty, 2).lost == 1
+
+
+def test_a_mesh_that_encloses_nothing_is_a_sheet(tmp_path: Path) -> None:
+    square = write_obj(
+        tmp_path / "square.obj",
+        np.array([[0, 0, 5], [2, 0, 5], [2, 1, 5], [0, 1, 5.0]]),
+        [[0, 1, 2, 3]],
+    )
+    source = MeshSource(square)
+    assert source.flat
+    source.take_as_sheet(0.2)
+    assert source.topology() == (2, 1)
+    # A plate, half cylinders along its sides and a sphere in all at its corners.
+    volume = 2 * 1 * 0.2 + 0.5 * np.pi * 0.1**2 * 6 + 4 / 3 * np.pi * 0.1**3
+    found = np.abs(source.inside(np.array([[1, 0.5, 5.09], [1, 0.5, 5.11], [-0.09, 0.5, 5]])))
+    assert found.tolist() == [True, False, True]
+    # Marching cubes cuts off the round rims.
+    assert enclosed_volume(source.vertices, source.triangles) == pytest.approx(volume, rel=0.03)
+    assert "4 bad edges" in source.warnings()[0]
+    again = MeshSource(square)
+    again.restore(source.state())
+    assert np.array_equal(again.vertices, source.vertices)
+    with pytest.raises(InputError, match="too thin"):
+        thickened(source.loaded.polygons, 1e-6, "square")

@@ -16,12 +16,15 @@ from ..surface.topology import bad_edges, edges, split_pinched, topology
 from .mesh_file import load
 from .parity import RayParity
 from .repair_child import repaired
+from .sheet import thickened
 from .winding import WindingNumber, winding_number
 
 ROUNDING = 1e-6
 """In cells."""
 LEVEL = 0.5
 """Winding number from which a point is inside an open mesh."""
+SHEET = 0.5
+"""Sureness below which a mesh is taken as a sheet."""
 UNSURE = 0.25
 """What is nearer to LEVEL than this may be inside or not."""
 SAMPLES = 20_000
@@ -152,12 +155,33 @@ class MeshSource(TriangleSource):
         self.path, self.name = path, path.stem
         self.loaded = load(path)
         self.repair = False
+        self.thickness = 0.0
 
     @cached_property
     def polygons(self) -> PolygonMesh:
+        if self.thickness:
+            return thickened(self._sound, self.thickness, str(self.path))
+        return self._sound
+
+    @cached_property
+    def _sound(self) -> PolygonMesh:
+        """As found, or repaired."""
         if self.repair:
             return repaired(self.loaded.polygons, str(self.path))
         return self.loaded.polygons
+
+    @property
+    def flat(self) -> bool:
+        """Whether it has no extent along an axis."""
+        return bool(np.count_nonzero(np.ptp(self.loaded.polygons.vertices, axis=0)) < 3)
+
+    def take_as_sheet(self, thickness: float) -> None:
+        """From now on, unless ``thickness`` is 0: the surface around all that is so near to it."""
+        self.thickness = thickness
+        if not thickness:
+            return
+        for name in ("polygons", "welded", "_fanned", "open_edges", "_rays", "winding", "sureness"):
+            self.__dict__.pop(name, None)
 
     def describe(self) -> dict[str, Any]:
         return {
@@ -165,16 +189,17 @@ class MeshSource(TriangleSource):
             "name": self.name,
             "vertices": self.polygons.vertex_count,
             "faces": self.polygons.face_count,
-            "polygons_kept": self.loaded.polygons_kept and not self.repair,
+            "polygons_kept": self.loaded.polygons_kept and not (self.repair or self.thickness),
             "repaired": self.repair,
-            "open_edges": self.open_edges,
+            "thickness": self.thickness,
+            "open_edges": len(bad_edges(welded(self.loaded.polygons))),
             "doubled_faces": self.winding.doubled if self.open_edges else 0,
             "turned_faces": self.winding.turned if self.open_edges else 0,
             "sureness": round(self.sureness, 4),
         }
 
     def state(self) -> dict[str, Any]:
-        if not self.repair:
+        if not self.repair and not self.thickness:
             return {}
         return {"source/vertices": self.vertices, "source/triangles": self.triangles}
 
@@ -188,10 +213,16 @@ class MeshSource(TriangleSource):
     def warnings(self) -> list[str]:
         said = []
         if self.repair:
-            before, after = self.loaded.polygons, self.polygons
+            before, after = self.loaded.polygons, self._sound
             said.append(
                 f"repaired: {before.face_count} faces with {len(bad_edges(welded(before)))} bad "
-                f"edges are now {after.face_count} with {self.open_edges}"
+                f"edges are now {after.face_count} with {len(bad_edges(welded(after)))}"
+            )
+        if self.thickness:
+            edges_found = len(bad_edges(welded(self._sound)))
+            said.append(
+                f"the mesh ({edges_found} bad edges) is taken as a sheet {self.thickness:g} thick; "
+                "close it, or use --repair or --thickness"
             )
         return said + self._open_warnings()
 

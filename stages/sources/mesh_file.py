@@ -25,7 +25,7 @@ def load(path: Path) -> LoadedMesh:
     """The mesh in ``path``, coordinates as in the file.
 
     Raises InputError for files that are missing, empty or not a mesh, and for meshes without
-    faces, with coordinates that are not finite, or without extent.
+    faces, with coordinates that are not finite, or on a line.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a mesh file or the name of a built-in field")
@@ -49,12 +49,8 @@ def load(path: Path) -> LoadedMesh:
         raise InputError(
             f"{path}: {bad} vertices have coordinates that are not finite; repair the mesh"
         )
-    extent = np.ptp(mesh.vertices, axis=0)
-    if np.count_nonzero(extent) < 3:
-        raise InputError(
-            f"{path}: the mesh is flat (extent {extent[0]:g} x {extent[1]:g} x {extent[2]:g}) and "
-            "encloses nothing; give a closed surface"
-        )
+    if np.count_nonzero(np.ptp(mesh.vertices, axis=0)) < 2:
+        raise InputError(f"{path}: all of the mesh lies on a line; export it again")
     return LoadedMesh(mesh, kept)
 
 

@@ -2,7 +2,8 @@
 
 Run with ``make table-clouds MESHES=folder PEER=file.json``. What comes out is compared with the
 mesh, which the run never sees, in units of the mesh's longest side. Noise is in percent of the
-diagonal. PEER holds another method's F1 under ``runs.NAME``, with noise under ``runs.NAME_1S``.
+diagonal. PEER holds another method's F1 under ``runs.NAME``, with 1 % of noise under
+``runs.NAME_n0.01``.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def main() -> None:
     rows = {}
     for shape in given.shapes:
         name = shape.stem
-        peer = peers.get(f"{name}_{given.noise:g}S" if given.noise else name, {})
+        peer = peers.get(f"{name}_n{given.noise / 100:g}" if given.noise else name, {})
         try:
             found = rows[name] = row(shape, given.n, given.points, given.noise)
         except RuntimeError as fault:

@@ -1,0 +1,47 @@
+"""A mesh that encloses nothing, as a sheet of some thickness."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import InputError
+from ..surface.geometry import fan_triangles
+from ..surface.polygons import PolygonMesh
+from ..surface.topology import bad_edges
+
+ACROSS = 3.0
+"""Edges of the grid across the sheet."""
+MOST = 30_000_000
+"""Nodes of the grid."""
+
+
+def thickened(mesh: PolygonMesh, thickness: float, name: str) -> PolygonMesh:
+    """The surface around all that is within half of ``thickness`` of ``mesh``, as triangles.
+
+    Raises InputError, with the ``name`` of the mesh, when that is too thin for its size.
+    """
+    import igl
+
+    vertices, triangles, _ = fan_triangles(mesh)
+    edge = thickness / ACROSS
+    low = vertices.min(axis=0) - 0.5 * thickness - 1.5 * edge
+    high = vertices.max(axis=0) + 0.5 * thickness + 1.5 * edge
+    shape = np.ceil((high - low) / edge).astype(np.int64) + 1
+    if float(np.prod(shape.astype(float))) > MOST:
+        raise InputError(
+            f"{name}: a sheet {thickness:g} thick is too thin for its size; thicken it"
+        )
+    nodes = (
+        low
+        + edge
+        * np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape[::-1])), axis=1)[:, ::-1]
+    )  # the first index runs fastest
+    nodes = np.ascontiguousarray(nodes)
+    square = igl.point_mesh_squared_distance(nodes, np.ascontiguousarray(vertices), triangles)[0]
+    made, faces, _ = igl.marching_cubes(
+        np.sqrt(square) - 0.5 * thickness, nodes, *map(int, shape), 0.0
+    )
+    found = PolygonMesh.of_triangles(np.asarray(made), np.asarray(faces, np.int64))
+    if found.face_count == 0 or len(bad_edges(found)):
+        raise InputError(f"{name}: no closed surface lies around it; set another --thickness")
+    return found
