@@ -130,6 +130,9 @@ pictures: | $(VENV)/installed
 	@$(MAKE) --no-print-directory run INPUT=heart
 	$(BIN)/vorolight report --run bunny.vorolight --pictures examples
 	$(BIN)/vorolight report --run heart.vorolight --pictures examples
+	test -f chameleon.pts || $(BIN)/vorolight sample chameleon
+	$(BIN)/vorolight classify chameleon.pts --preview
+	cp chameleon.vorolight/classify.png examples/chameleon-preview.png
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

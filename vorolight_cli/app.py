@@ -309,11 +309,11 @@ def status(
 @app.command()
 @guarded
 def sample(
-    name: Annotated[str, typer.Argument(help="airplane, bone, bunny, cow or cube.")],
+    name: Annotated[str, typer.Argument(help="airplane, bone, bunny, chameleon, cow or cube.")],
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write a sample mesh to the current folder."""
+    """Write a sample mesh, or the sample points, to the current folder."""
     from vorolight.stages.artifacts import atomic
     from vorolight.stages.sources.samples import sample as find
 

@@ -11,6 +11,7 @@ SAMPLES = {
     "airplane": "airplane.obj",
     "bone": "bone.ply",
     "bunny": "bunny.obj",
+    "chameleon": "chameleon.pts",
     "cow": "cow.obj",
     "cube": "cube.obj",
 }
