@@ -102,7 +102,7 @@ def _memory(context: Context) -> float:
     source = context.source()
     points = len(source.cloud.points) if isinstance(source, PointSource) else 0
     voxels = float(context.params.n_init) ** 3
-    return peak(240.0, 240.0, 0.25, voxels) + (900.0 + 1e-3 * points if points else 0.0)
+    return peak(240.0, 240.0, 0.25, voxels) + (350.0 + 3.5e-4 * points if points else 0.0)
 
 
 STAGE = Stage(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.errors import InputError
+from vorolight.stages.losses.shape import Chamfer, for_source
 from vorolight.stages.sources import cloud_file
 from vorolight.stages.sources.gauss import Dipoles, Grid
 from vorolight.stages.sources.local_fits import Cloud
@@ -20,7 +22,9 @@ from vorolight.stages.sources.noise import noise, outliers, spacings, typical
 from vorolight.stages.sources.points import PointSource
 from vorolight.stages.sources.reconstruction import Reconstruction, reconstruct
 from vorolight.stages.sources.resolve import identify, kind_of
+from vorolight.stages.sources.true_surface import true_surface
 from vorolight.stages.surface.geometry import enclosed_volume, sample_triangles, triangle_areas
+from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.topology import topology
 
@@ -390,3 +394,36 @@ def test_options_that_do_not_fit(tmp_path: Path, cli: Cli) -> None:
         assert said in done.stderr
         assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_too_much_noise_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", fibonacci(500))
+    source = PointSource(tmp_path / "a.npy")
+    source.given_noise = 1.0
+    with pytest.raises(InputError, match=r"a\.npy: a noise of 1 leaves nothing"):
+        source.bounding_box()
+
+
+@pytest.mark.parametrize(("level", "robust"), [(0.0, False), (0.03, True)])
+def test_chamfer_targets_of_noisy_points_are_on_the_surface(
+    tmp_path: Path, level: float, robust: bool
+) -> None:
+    np.save(tmp_path / "a.npy", shell(4000, level))
+    source = PointSource(tmp_path / "a.npy")
+    frame = ModelFrame(np.zeros(3), 0.2)
+    context = SimpleNamespace(
+        source=lambda: source,
+        surface=true_surface(source, frame, 2),
+        params=SimpleNamespace(target_samples=1000),
+        random=lambda purpose: np.random.default_rng(0),
+        threads=2,
+    )
+    loss = for_source(context, frame, "paper")  # type: ignore[arg-type]
+    assert isinstance(loss, Chamfer)
+    away = np.abs(0.2 * np.linalg.norm(loss.target.numpy(), axis=1) - 1)
+    assert away.std() < 0.012
+    assert len(away) == 1000
+    given = np.abs(
+        np.linalg.norm(source.surface_samples(1000, np.random.default_rng(0)), axis=1) - 1
+    )
+    assert (away.mean() < 0.6 * given.mean()) == robust

@@ -52,6 +52,8 @@ TOO_FEW = 5.0
 """Points that must count in a fit for its surface to move there."""
 UNDER = 1.08
 """The noise over the residual of the fits, which is a little less."""
+LOUDEST = 0.15
+"""Noise, over the size of the cloud, from which nothing can be found."""
 STEPS_GIVEN = 2
 """Steps from given normals."""
 AGREE, ALONG = 0.95, 0.5
@@ -96,6 +98,10 @@ def reconstruct(
         blur = noise(unit, np.random.default_rng(0))
     else:
         blur = given_noise / size
+    if blur > LOUDEST:
+        raise InputError(
+            f"a noise of {size * blur:g} leaves nothing of a shape of {size:g}; set --noise"
+        )
     coarse, first = _coarse(unit, apart, blur, threads)
     box = np.ptp(unit, axis=0) + 2 * PADDING
     least = max(1 / FINE, float(np.cbrt(box.prod() / NODES)))
@@ -195,17 +201,20 @@ def _without_specks(grid: Grid, field: Single, points: Floats, apart: float, noi
     corners = np.ravel_multi_index(tuple(np.moveaxis(around, 2, 0)), grid.shape)
     expected = (grid.spacing / max(apart, grid.spacing / CELL)) ** 2
     result = field.copy()
+    for axis in range(3):  # the inside ends within the grid
+        border = np.moveaxis(result, axis, 0)
+        border[[0, -1]] = -np.abs(border[[0, -1]])
     for sign, joined in ((1, None), (-1, np.ones((3, 3, 3)))):
         solid = sign * result > 0
         part, count = label(solid, structure=joined)
         if count == 0:
-            raise InputError("its points have no inside; are they of a closed surface?")
+            raise InputError("the points have no inside; are they of a closed surface?")
         size = np.bincount(part.reshape(-1))
         small = size < SMALLEST * (result > 0).sum()
         if not noisy:
-            border = np.bincount(part[solid & ~binary_erosion(solid)], minlength=count + 1)
+            edges = np.bincount(part[solid & ~binary_erosion(solid)], minlength=count + 1)
             held = np.bincount(part.reshape(-1)[corners].max(axis=0), minlength=count + 1)
-            small &= held < np.maximum(FEWEST, HELD * expected * border)
+            small &= held < np.maximum(FEWEST, HELD * expected * edges)
         small[0] = False
         result = np.where(small[part], -result, result)
     return result
@@ -222,7 +231,7 @@ def _level_set(grid: Grid, field: Single) -> tuple[Floats, Ints]:
     vertices, triangles, _ = igl.marching_cubes(values, nodes, *map(int, grid.shape), 0.0)
     triangles = np.asarray(triangles, np.int64)
     if len(bad_edges(PolygonMesh.of_triangles(vertices, triangles))):
-        raise InputError("the level set is not closed")
+        raise InputError("no closed surface passes through the points; are there outliers?")
     return np.asarray(vertices), triangles
 
 
