@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-found table-scales check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -98,6 +98,13 @@ table-found: $(VENV)/installed
 # One mesh in other units and frames.
 table-scales: $(INPUT) $(VENV)/installed
 	$(BIN)/python tests/benchmarks/scales.py -n $(N) $(INPUT)
+
+# All tables of inputs: MESHES is a folder of clean meshes, FOUND are files as found.
+table-inputs:
+	for noise in 0 0.1 0.5 1 2; do $(MAKE) --no-print-directory table-clouds NOISE=$$noise || exit; done
+	$(MAKE) --no-print-directory table-clouds POINTS=10000
+	$(MAKE) --no-print-directory table-found MESHES="$(FOUND)"
+	$(MAKE) --no-print-directory table-scales
 
 # Loss against iterations, by several optimisers of the first surface.
 bench-init: $(INPUT) $(VENV)/installed
