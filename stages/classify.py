@@ -28,7 +28,6 @@ class Params(contract.Params):
     """Voxels along the longest side of the shape: the resolution of everything that follows."""
     noise: Positive | None = None
     """Standard deviation of a point cloud's noise, in the input's units; estimated by default."""
-
     repair: bool = False
     """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
     thickness: Positive | None = None

@@ -53,7 +53,8 @@ def load(path: Path) -> LoadedCloud:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: not a readable point cloud ({reason[:120]})") from error
     count = len(points)
-    finite = np.isfinite(points).all(axis=1) & (np.abs(points) < 1e150).all(axis=1)
+    # The squares of what is larger are not finite.
+    finite = (np.abs(np.nan_to_num(points, nan=np.inf)) < 1e150).all(axis=1)
     _, first = np.unique(points[finite], axis=0, return_index=True)
     kept = np.flatnonzero(finite)[np.sort(first)]
     doubled, thinned = int(finite.sum()) - len(kept), max(0, len(kept) - MOST)
@@ -65,7 +66,8 @@ def load(path: Path) -> LoadedCloud:
         )
     points = np.ascontiguousarray(points[kept])
     centred = points - points.mean(axis=0)
-    extent = np.ptp(centred @ np.linalg.svd(centred[:MOST], full_matrices=False)[2].T, axis=0)
+    centred /= np.abs(centred).max()
+    extent = np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0)
     if extent.min() < FLAT * extent.max():
         raise InputError(f"{path}: the points lie in one plane and enclose nothing")
     if normals is not None:
