@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..surface.geometry import triangle_areas, vertex_normals
+from ..surface.geometry import triangle_areas, triangle_normals, vertex_normals
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges
 from .gauss import PADDING, Dipoles, Grid, Single, outward
@@ -44,6 +44,9 @@ FIT_CELL = 0.6
 """Points within this many standard deviations of the noise are one for the fits."""
 SMOOTHING = 10
 """Steps of smoothing what the fits say, from a noise of an edge of the grid."""
+TURNED, UNFOLDINGS = 0.3, 10
+"""Cosine between the normals before and after the fits below which a triangle has turned over, and
+how often such ones are looked for."""
 BOUND = 0.7
 """Mean curvature, over the noise, up to which the fits are believed."""
 MISSED, MISSED_NOISES = 1.5, 5.0
@@ -256,7 +259,7 @@ def _fitted(
     # Noise takes points off the surface, and so away from each other.
     area = float(triangle_areas(vertices, triangles).sum())
     apart *= min(1.0, float(np.sqrt(area / len(points)) / np.median(apart)))
-    averages = _averages(triangles)
+    averages, before = _averages(triangles), vertices
     for number in range(FIT_ROUNDS):
         facing = vertex_normals(vertices, triangles)
         fits = cloud.fits(vertices, facing, blur, apart)
@@ -274,7 +277,23 @@ def _fitted(
             aside = 0.5 * (averages @ vertices - vertices)
             facing = vertex_normals(vertices, triangles)
             vertices = vertices + aside - (aside * facing).sum(axis=1, keepdims=True) * facing
+    if not steps:  # what is smoothed does not fold
+        vertices = _unfolded(before, vertices, triangles)
     return vertices, blur
+
+
+def _unfolded(before: Floats, after: Floats, triangles: Ints) -> Floats:
+    """The vertices ``after (V, 3)``, those of triangles that have turned over since ``before`` put
+    back."""
+    normals, _ = triangle_normals(before, triangles)
+    after = after.copy()
+    for _ in range(UNFOLDINGS):
+        turned = np.einsum("ij,ij->i", triangle_normals(after, triangles)[0], normals) < TURNED
+        if not turned.any():
+            break
+        back = np.unique(triangles[turned])
+        after[back] = before[back]
+    return after
 
 
 def _averages(triangles: Ints) -> Any:
