@@ -19,6 +19,7 @@ from ..surface.geometry import fan_triangles
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats, Ints
 from ..surface.topology import bad_edges
+from .pictures import AZIMUTH
 
 if TYPE_CHECKING:
     from ..artifacts.hdf5 import Arrays
@@ -28,7 +29,6 @@ FOUND, WRONG, VOXEL, BAND = (
     np.array(rgb)
     for rgb in ((0.56, 0.72, 0.88), (0.86, 0.24, 0.20), (0.98, 0.75, 0.42), (0.90, 0.92, 0.95))
 )
-AZIMUTH = {"y": 60.0, "z": -60.0}
 DOTS = 30_000
 """Points of a cloud that are drawn, and samples of a field."""
 

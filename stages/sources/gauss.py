@@ -107,6 +107,12 @@ class Grid:
         result /= 2 * self.spacing
         return result
 
+    def gradient(self, field: Single, interpolation: Any) -> Single:
+        """Of ``field`` at the ``N`` points of the matrix ``interpolation``, ``(N, 3)``."""
+        return np.stack(
+            [interpolation @ self.slopes(field, axis).reshape(-1) for axis in range(3)], axis=1
+        )
+
 
 class Dipoles:
     """Dipoles at ``points (N, 3)`` of a grid, blurred by a Gaussian of ``width``; ``weights (N,)``
@@ -128,9 +134,7 @@ class Dipoles:
 
     def gradient(self, potential: Single) -> Single:
         """At the points, ``(N, 3)``."""
-        return np.stack(
-            [self.at @ self.grid.slopes(potential, axis).reshape(-1) for axis in range(3)], axis=1
-        )
+        return self.grid.gradient(potential, self.at)
 
     def values(self, potential: Single) -> Single:
         """At the points, ``(N,)``."""

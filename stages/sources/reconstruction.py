@@ -174,10 +174,7 @@ def _areas(grid: Grid, points: Floats, counts: Floats, apart: float, blur: float
 
 def _at(grid: Grid, potential: Single, points: Floats) -> Single:
     """Unit normals at ``points`` against the gradient of ``potential``."""
-    at, _ = grid.interpolation(points)
-    return outward(
-        np.stack([at @ grid.slopes(potential, axis).reshape(-1) for axis in range(3)], axis=1)
-    )
+    return outward(grid.gradient(potential, grid.interpolation(points)[0]))
 
 
 def _checked(dipoles: Dipoles, normals: Floats, group: Ints) -> tuple[Single, float]:

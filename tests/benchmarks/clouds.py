@@ -10,26 +10,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from surfaces import cli
 
 from vorolight.stages.sources.mesh import MeshSource
 
 F1_AT = 0.01
 """Of the longest side."""
-
-
-def cli(*words: object) -> None:
-    command = [sys.executable, "-m", "vorolight.cli", *map(str, words), "--quiet"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1][-200:])
 
 
 def row(shape: Path, n: int, count: int, percent: float) -> dict[str, Any]:

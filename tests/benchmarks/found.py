@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import igl
 import numpy as np
+from surfaces import cli
 
 from vorolight.stages.export import ply
 from vorolight.stages.sources.mesh import MeshSource
@@ -23,13 +22,6 @@ from vorolight.stages.sources.resolve import identify
 from vorolight.stages.surface.geometry import fan_triangles, sample_triangles, triangle_normals
 
 SAMPLES, WITHIN, RAYS, ASIDE = 20_000, 1.5, 200, 1e-3
-
-
-def cli(*words: object) -> None:
-    command = [sys.executable, "-m", "vorolight.cli", *map(str, words), "--quiet"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1][-200:])
 
 
 def visible(source: MeshSource, random: np.random.Generator) -> np.ndarray:

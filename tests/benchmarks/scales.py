@@ -9,24 +9,16 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import h5py
 import numpy as np
+from surfaces import cli
 
 from vorolight.stages.export import ply
 from vorolight.stages.sources.mesh_file import load
 from vorolight.stages.surface.polygons import PolygonMesh
-
-
-def cli(*words: object) -> None:
-    command = [sys.executable, "-m", "vorolight.cli", *map(str, words), "--quiet"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1][-200:])
 
 
 def row(mesh: PolygonMesh, n: int, scale: float, shift: float, turn: np.ndarray) -> list[str]:
