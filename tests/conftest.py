@@ -95,3 +95,11 @@ def torus_mesh(major: float, minor: float, m: int, n: int) -> tuple[np.ndarray, 
 def random_rotation(seed: int) -> np.ndarray:
     matrix, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     return matrix * np.sign(np.linalg.det(matrix))
+
+
+def fibonacci(count: int, radius: float = 1.0) -> np.ndarray:
+    """Points on a sphere, evenly."""
+    height = 1 - 2 * (np.arange(count) + 0.5) / count
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - height**2)
+    return radius * np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -39,13 +40,13 @@ def welded(mesh: PolygonMesh) -> PolygonMesh:
     )
 
 
-class TriangleSource:
+class TriangleSource(ABC):
     """The surface of ``polygons``, which stay as they are."""
 
-    @cached_property
+    @property
+    @abstractmethod
     def polygons(self) -> PolygonMesh:
         """As found, or as made."""
-        raise NotImplementedError
 
     @property
     def vertices(self) -> Floats:
