@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-views table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -90,6 +90,12 @@ NOISE ?= 0
 table-clouds: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/clouds.py -n $(N) --points $(POINTS) --noise $(NOISE) \
 		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Pictures drawn of meshes, run and compared with them; MASKS=1 leaves the normal maps out.
+COUNT ?= 300
+table-views: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/views.py --count $(COUNT) $(if $(MASKS),--masks-only) \
+		$(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
 
 # Shapes as found, compared with what is made of them.
 table-found: $(VENV)/installed

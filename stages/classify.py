@@ -12,12 +12,15 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Short, Stage
 from .errors import UsageError
 from .memory import peak
+
+if TYPE_CHECKING:
+    from .sources.images import ViewSource
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class Params(contract.Params):
     """Voxels along the longest side of the shape: the resolution of everything that follows."""
     noise: Positive | None = None
     """Standard deviation of a point cloud's noise, in the input's units; estimated by default."""
+    mask_votes: Annotated[int, Range(0, 100)] = 0
+    """Of views: how many masks may leave out what is inside, anywhere."""
     repair: bool = False
     """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
     thickness: Positive | None = None
@@ -40,6 +45,7 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .sources import voxels
+    from .sources.images import ViewSource
     from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
     from .sources.thin import thin_parts
@@ -50,6 +56,11 @@ def run(context: Context) -> Outcome:
         source.given_noise, source.threads = params.noise, context.threads
     elif params.noise is not None:
         raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
+    if isinstance(source, ViewSource):
+        source.votes, source.threads = params.mask_votes, context.threads
+        _fit(source, context)
+    elif params.mask_votes:
+        raise UsageError(f"--mask-votes: the input is a {source.kind}; only views have masks")
     if isinstance(source, MeshSource):
         source.repair = params.repair
         thickness = params.thickness
@@ -95,18 +106,39 @@ def run(context: Context) -> Outcome:
     )
 
 
+def _fit(source: ViewSource, context: Context) -> None:
+    """Make the surface that stands for views, with a progress of its own."""
+    from .sources.view_fit import rounds
+
+    context.progress.start("fit to the views", rounds())
+    done = 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        context.progress.advance(done)
+
+    source.tick = tick
+    source.polygons  # noqa: B018
+    context.progress.finish()
+
+
 def _memory(context: Context) -> float:
+    from .sources.images import ViewSource
     from .sources.points import PointSource
 
     source = context.source()
-    points = len(source.cloud.points) if isinstance(source, PointSource) else 0
-    voxels = float(context.params.n_init) ** 3
-    return peak(240.0, 240.0, 0.25, voxels) + (350.0 + 3.5e-4 * points if points else 0.0)
+    voxels = peak(240.0, 240.0, 0.25, float(context.params.n_init) ** 3)
+    if isinstance(source, PointSource):
+        return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
+    if isinstance(source, ViewSource):
+        return voxels + 450.0 + 2e-5 * source.views.masks.size
+    return voxels
 
 
 STAGE = Stage(
     name="classify",
-    version=4,
+    version=5,
     params=Params,
     run=run,
     memory=_memory,

@@ -12,7 +12,7 @@ from .artifacts import fingerprint, manifest
 from .artifacts.run_folder import RunFolder
 from .contract import Params, Progress, Silent, Stage, options
 from .errors import ArtifactError, InputError
-from .sources.resolve import Identity, identify, identify_field
+from .sources.resolve import Identity, identify, identify_field, identify_path
 
 ORDER = ("classify", "init", "sphere-train", "volume", "evaluate", "fabricate")
 SETTINGS = ("seed", "device", "backend")
@@ -83,11 +83,9 @@ def recorded_input(folder: RunFolder) -> Identity | None:
         except InputError:  # the module of a function is gone
             return Identity(entry["kind"], entry["name"], None, None, entry["sha256"])
     path = folder.path / entry["path"]
-    if not path.is_file():
+    if not path.exists():
         return Identity(entry["kind"], entry["name"], path, entry["bytes"], entry["sha256"])
-    return Identity(
-        entry["kind"], entry["name"], path, path.stat().st_size, fingerprint.of_file(path)
-    )
+    return identify_path(entry["kind"], path)
 
 
 def input_of(session: Session) -> Identity | None:
@@ -104,7 +102,7 @@ def _extra_input(
     entry = next((entry for entry in entries if entry["role"] == role), None)
     if entry is not None and entry["path"] is not None:
         place = folder.path / entry["path"]
-        if not place.is_file():
+        if not place.exists():
             return Identity(entry["kind"], entry["name"], place, entry["bytes"], entry["sha256"])
         if not Path(text).exists():
             return identify(str(place))

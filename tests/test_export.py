@@ -12,7 +12,7 @@ import pytest
 from conftest import sphere_mesh
 
 from vorolight.stages.export import ply, stl
-from vorolight.stages.render import png, raster
+from vorolight.stages.render import image_file, raster
 from vorolight.stages.surface.geometry import enclosed_volume, fan_triangles
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.voronoi.interface import interface
@@ -109,7 +109,7 @@ def test_picture_of_a_sphere(tmp_path: Path) -> None:
     image = raster.shaded(
         vertices, triangles, np.arange(len(triangles)), np.ones(3), camera, 64, 64
     )
-    data = png.encode(image)
+    data = image_file.png(image)
     path = tmp_path / "a.png"
     path.write_bytes(data)
     assert data.startswith(b"\x89PNG")

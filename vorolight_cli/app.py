@@ -36,6 +36,7 @@ from .session import (
     common_options,
     identity_of,
 )
+from .views import views
 
 HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -325,6 +326,9 @@ def sample(
         raise UsageError(f"{target}: is there and is another file; rename it, or use --force")
     atomic.write(target, data)
     print(target)
+
+
+app.command()(guarded(views))
 
 
 def _version(wanted: bool) -> None:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Input = Annotated[
     str | None,
     typer.Argument(
-        help="A mesh, a point cloud, or a field: heart, sphere, torus, genus-two, gyroid, "
-        "cube-cavity, a formula, or samples (.npy, .npz)."
+        help="A mesh, a point cloud, views (a folder or transforms.json), or a field: heart, sphere, "
+        "torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz)."
     ),
 ]
 Field = Annotated[
@@ -40,7 +40,7 @@ Kind = Annotated[
     str | None,
     typer.Option(
         "--kind",
-        help="What INPUT holds [mesh|points|field]. Default: recognised.",
+        help="What INPUT holds [mesh|points|field|views]. Default: recognised.",
         show_default=False,
     ),
 ]

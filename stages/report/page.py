@@ -12,7 +12,7 @@ from ..artifacts import atomic
 from ..artifacts.manifest import Manifest, read
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
-from ..render import png
+from ..render import image_file
 from .pictures import PICTURES
 
 STAGES = ("classify", "init", "sphere-train", "volume", "fabricate")
@@ -51,7 +51,7 @@ def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = N
         image = draw(folder)
         if image is None:
             continue
-        data = png.encode(image)
+        data = image_file.png(image)
         if pictures is not None:
             atomic.make_folder(pictures)
             atomic.write(pictures / f"{folder.path.stem}-{name}.png", data)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..artifacts import atomic
 from ..artifacts.run_folder import RunFolder
-from ..render import png, raster
+from ..render import image_file, raster
 from ..sources.mesh import MeshSource
 from ..sources.points import PointSource
 from ..sources.resolve import up_axis
@@ -36,7 +36,7 @@ DOTS = 30_000
 def write(folder: RunFolder, source: Source) -> Path:
     """The picture beside the manifest of stage classify; its path."""
     path = folder.file("classify", "png")
-    atomic.write(path, png.encode(preview(source, folder.arrays("classify", "classify"))))
+    atomic.write(path, image_file.png(preview(source, folder.arrays("classify", "classify"))))
     return path
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .protocol import Source
 
 
-KINDS = ("mesh", "points", "field")
+KINDS = ("mesh", "points", "field", "views")
 Y_UP = (".obj", ".ply", ".off", ".glb", ".gltf")
 
 
@@ -53,24 +53,30 @@ class Identity:
         Raises InputError when the file cannot be used.
         """
         from .fields import FieldSource
+        from .images import ViewSource
         from .mesh import MeshSource
         from .points import PointSource
 
         if self.kind == "field":
             return FieldSource(self.name, path=self.path, allow_code=self.allow_code)
         assert self.path is not None
-        source = MeshSource(self.path) if self.kind == "mesh" else PointSource(self.path)
+        kinds = {"mesh": MeshSource, "points": PointSource, "views": ViewSource}
+        source = kinds[self.kind](self.path)
         if stored is not None:
             source.restore(stored)
         return source
 
 
 def kind_of(path: Path) -> str:
-    """What a file holds, by its ending and, where that may be several things, its first bytes."""
+    """What a file or folder holds, by its ending and, where that may be several things, what is in
+    it."""
     from ..export.ply import may_have_faces
     from .arrays_file import dimensions, names
     from .cloud_file import TEXT
+    from .view_files import is_view_set
 
+    if is_view_set(path):
+        return "views"
     suffix = path.suffix.lower()
     if suffix in TEXT:
         return "points"
@@ -93,6 +99,7 @@ def identify(text: str, kind: str | None = None) -> Identity:
     """
     from .expression import looks_like_one
     from .fields import FIELDS
+    from .view_files import is_view_set
 
     path = Path(text)
     try:
@@ -100,10 +107,14 @@ def identify(text: str, kind: str | None = None) -> Identity:
     except OSError:  # a formula may be too long for a path
         there = False
     if there:
-        if not path.is_file():
-            raise InputError(f"{path}: is no file; give a mesh, points or a field")
-        found = kind or kind_of(path)
-        return Identity(found, path.stem, path, path.stat().st_size, fingerprint.of_file(path))
+        if path.is_dir() and kind not in (None, "views"):
+            raise InputError(f"{path}: is a folder; --kind {kind} asks for a file")
+        if not path.is_file() and not is_view_set(path):
+            raise InputError(
+                f"{path}: is a folder without cameras (transforms.json, or those of COLMAP, NDS, "
+                "IDR or Middlebury); give a mesh, points, a field or a set of views"
+            )
+        return identify_path(kind or kind_of(path), path)
     if kind is not None:
         raise InputError(f"{text}: no such file; --kind {kind} says what a file holds")
     if text in FIELDS or looks_like_one(text):
@@ -112,6 +123,19 @@ def identify(text: str, kind: str | None = None) -> Identity:
         f"{text}: no such file, and no built-in field of that name ({', '.join(sorted(FIELDS))}); "
         "check the path"
     )
+
+
+def identify_path(kind: str, path: Path) -> Identity:
+    """The input of that ``kind`` at ``path``, as it is on disk now. Raises InputError."""
+    if kind != "views":
+        return Identity(kind, path.stem, path, path.stat().st_size, fingerprint.of_file(path))
+    from .view_files import name_of, read
+
+    # A change of any picture is a change of the input.
+    files = read(path).all_files()
+    parts = [[file.name, fingerprint.of_file(file)] for file in files]
+    size = sum(file.stat().st_size for file in files)
+    return Identity(kind, name_of(path), path, size, fingerprint.of_json(parts))
 
 
 def identify_field(text: str) -> Identity:

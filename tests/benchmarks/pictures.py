@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from vorolight.stages.artifacts.run_folder import RunFolder
-from vorolight.stages.render import png
+from vorolight.stages.render import image_file
 from vorolight.stages.report import pictures
 
 WAYS = {
@@ -51,7 +51,7 @@ def main() -> None:
                 first, _, written = np.array_split(drawn, 3, axis=1)
                 panels += [written] if panels else [first, written]
         target = given.output / f"{Path(shape).stem}-{given.n}.png"
-        target.write_bytes(png.encode(np.concatenate(panels, axis=1)))
+        target.write_bytes(image_file.png(np.concatenate(panels, axis=1)))
         print(target, flush=True)
 
 

@@ -1,0 +1,85 @@
+"""Colours, coverage and normals of a coloured mesh as a camera sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..surface.geometry import triangle_normals
+from ..surface.polygons import Floats, Ints
+from . import visibility
+from .cameras import Camera
+
+Colours = Callable[[Ints, Floats], Floats]
+"""``colours(triangle (N,), weights (N, 3))``: RGB from 0 to 1 at points of triangles."""
+
+
+@dataclass(frozen=True)
+class Fragments:
+    """Where a camera's rays through pixel centres first meet a mesh, N of them."""
+
+    rows: Ints
+    columns: Ints
+    triangle: Ints
+    weights: Floats
+    """Of the triangle's corners, in space ``(N, 3)``."""
+
+
+def fragments(vertices: Floats, triangles: Ints, camera: Camera, both: bool = True) -> Fragments:
+    """Of the triangles that face the camera, or of ``both`` sides."""
+    screen = camera.project(vertices)
+    seen = np.empty((camera.height, camera.width), np.int32)
+    nearest = np.empty((camera.height, camera.width))
+    visibility.paint(screen, triangles, both, not camera.orthographic, seen, nearest)
+    rows, columns = np.nonzero(seen >= 0)
+    triangle = seen[rows, columns].astype(np.int64)
+    corner = screen[triangles[triangle]]
+    x, y = columns + 0.5, rows + 0.5
+    a, b, c = (corner[:, k] for k in range(3))
+
+    def doubled(p: Floats, q: Floats) -> Floats:
+        return (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
+
+    weights = np.stack([doubled(b, c), doubled(c, a), doubled(a, b)], axis=1)
+    if not camera.orthographic:  # even steps in the picture are not even in space
+        weights = weights * corner[:, :, 2]
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    return Fragments(rows, columns, triangle, weights)
+
+
+def draw(
+    vertices: Floats,
+    triangles: Ints,
+    colours: Colours | None,
+    camera: Camera,
+    samples: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """RGBA ``(H, W, 4)`` and unit normals ``(H, W, 3)``, zero outside, with ``samples`` by
+    ``samples`` rays a pixel. Without ``colours`` a mesh is grey, lit from the camera."""
+    matrix = camera.matrix.copy()
+    matrix[:2] *= samples
+    fine = Camera(
+        samples * camera.width, samples * camera.height, matrix, camera.rotation,
+        camera.translation, camera.orthographic,
+    )  # fmt: skip
+    hit = fragments(vertices, triangles, fine)
+    centres = np.column_stack([hit.columns, hit.rows]) + 0.5
+    normal = triangle_normals(vertices, triangles)[0][hit.triangle]
+    facing = -(normal * fine.rays(centres)).sum(axis=1)
+    normal = np.where(facing[:, None] < 0, -normal, normal)
+    if colours is None:
+        colour = np.repeat((0.2 + 0.6 * np.abs(facing))[:, None], 3, axis=1)
+    else:
+        colour = colours(hit.triangle, hit.weights)
+    pixel = hit.rows // samples * camera.width + hit.columns // samples
+    count = np.bincount(pixel, minlength=camera.width * camera.height)
+    sums = [np.bincount(pixel, channel, minlength=len(count)) for channel in (*colour.T, *normal.T)]
+    mean = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
+    size = np.linalg.norm(mean[:, 3:], axis=1, keepdims=True)
+    normals = mean[:, 3:] / np.where(size > 0, size, 1)
+    rgba = np.column_stack([mean[:, :3], count / samples**2])
+    shape = (camera.height, camera.width, -1)
+    return rgba.reshape(shape), normals.reshape(shape)

@@ -1,0 +1,68 @@
+"""Pictures as files: reading them, PNG and GIF bytes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+FRAME_MS = 70
+"""Of an animation."""
+
+
+def read(path: Path) -> NDArray[np.uint8]:
+    """The picture at ``path``, ``(H, W)`` grey, ``(H, W, 3)`` or, with alpha, ``(H, W, 4)``.
+
+    Raises InputError when it is missing or cannot be read.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.is_file():
+        raise InputError(f"{path}: this picture is missing; put it back, or take its view out")
+    try:
+        with Image.open(path) as opened:
+            opened.load()
+            if opened.mode in ("1", "L"):
+                mode = "L"
+            elif opened.mode in ("I;16", "I;16B", "I"):  # 16 bits of grey
+                return (np.asarray(opened).astype(np.int64) >> 8).astype(np.uint8)
+            else:
+                mode = "RGBA" if opened.mode in ("RGBA", "LA", "PA", "RGBa") else "RGB"
+                if opened.mode == "P" and "transparency" in opened.info:
+                    mode = "RGBA"
+            return np.asarray(opened.convert(mode))
+    except (OSError, ValueError, SyntaxError, UnidentifiedImageError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{path}: not a readable picture ({reason[:80]})") from error
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{path}: is too large a picture; scale it down") from error
+
+
+def png(image: NDArray[np.float64]) -> bytes:
+    """An 8-bit PNG of ``image (H, W)``, ``(H, W, 3)`` or ``(H, W, 4)``, values from 0 to 1."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(_bytes(image)).save(out, "PNG", compress_level=6)
+    return out.getvalue()
+
+
+def gif(frames: Sequence[NDArray[np.float64]]) -> bytes:
+    """An endless animation of ``frames (H, W, 3)`` with values from 0 to 1."""
+    from PIL import Image
+
+    first, *others = (
+        Image.fromarray(_bytes(frame)).quantize(256, dither=Image.Dither.NONE) for frame in frames
+    )
+    out = io.BytesIO()
+    first.save(out, "GIF", save_all=True, append_images=others, duration=FRAME_MS, loop=0)
+    return out.getvalue()
+
+
+def _bytes(image: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)

@@ -1,0 +1,176 @@
+"""The pictures of a set of views: masks and normals, checked against each other."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..render import image_file
+from ..render.cameras import Camera
+from ..render.views import UNIT, Views
+from ..surface.polygons import Floats
+from .view_files import SPACES, Shot, ViewSet, sized
+
+FEWEST = 16
+"""Pixels of a mask that are an object, and of what is around it."""
+HALF = 128
+"""Of 255, from which a pixel is covered."""
+LENGTHS = (0.7, 1.3)
+"""Between them a pixel of a normal map holds a normal."""
+RIM = 1.5
+"""Pixels from the outline in which a normal should point the way out."""
+AGREEING = 0.5
+"""Mean cosine of normals and the way out, at the outlines, below which the maps are wrong."""
+
+
+def load(found: ViewSet, threads: int = 1) -> Views:
+    """Cameras, masks and normals of all views.
+
+    Raises InputError for pictures that are missing, damaged or of different sizes, for masks that
+    are not there, empty or full, and for normals that contradict the masks.
+    """
+    with ThreadPoolExecutor(threads) as pool:
+        loaded = list(pool.map(lambda shot: _load(found, shot), found.shots))
+    cameras, masks, normals = zip(*loaded, strict=True)
+    first = found.shots[0]
+    for shot, camera in zip(found.shots, cameras, strict=True):
+        if (camera.width, camera.height) != (cameras[0].width, cameras[0].height):
+            raise InputError(
+                f"{found.path}: {first.name} is {cameras[0].width} x {cameras[0].height} pixels, "
+                f"{shot.name} is {camera.width} x {camera.height}; scale them to one size"
+            )
+    have = [normal is not None for normal in normals]
+    if any(have) and not all(have):
+        raise InputError(
+            f"{found.path}: {found.shots[have.index(False)].name} has no normal map but others "
+            "have; give all of them or none"
+        )
+    views = Views(tuple(cameras), np.stack(masks), np.stack(normals) if all(have) else None)
+    if all(have):
+        check_normals(found, views)
+    return views
+
+
+def colours(shot: Shot) -> NDArray[np.float32]:
+    """The picture of a view ``(H, W, 3)``, from 0 to 1. Raises InputError."""
+    image = image_file.read(shot.image)
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=2)
+    return image[..., :3].astype(np.float32) / np.float32(255)
+
+
+def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArray[np.int16] | None]:
+    image = image_file.read(shot.mask or shot.image)
+    if shot.mask is None:
+        if image.ndim != 3 or image.shape[2] != 4:
+            raise InputError(
+                f"{shot.image}: has no alpha channel, and no mask lies beside it; add "
+                f"{shot.image.stem}_mask.png"
+            )
+        mask = image[..., 3]
+    else:
+        mask = image if image.ndim == 2 else image[..., 3 if image.shape[2] == 4 else 0]
+        if image.ndim == 3 and image.shape[2] == 4 and mask.min() == 255:
+            mask = image[..., 0]  # opaque: the mask is what is drawn
+        if not shot.image.is_file():
+            raise InputError(f"{shot.image}: this picture is missing; put it back")
+    height, width = mask.shape
+    camera = sized(shot, width, height)
+    covered = int((mask >= HALF).sum())
+    place = shot.mask or shot.image
+    if covered < FEWEST:
+        raise InputError(f"{place}: the mask is empty; draw it, or take its view out")
+    if covered > mask.size - FEWEST:
+        raise InputError(
+            f"{place}: the mask covers the whole picture; give one that leaves the background out"
+        )
+    normal = None
+    if shot.normal is not None:
+        normal = _normals(found, shot, camera)
+        if normal.shape[:2] != mask.shape:
+            raise InputError(
+                f"{shot.normal}: is {normal.shape[1]} x {normal.shape[0]} pixels, the mask of "
+                f"{shot.name} {width} x {height}; scale one of them"
+            )
+        normal[mask < HALF] = 0
+    return camera, np.ascontiguousarray(mask), normal
+
+
+def _normals(found: ViewSet, shot: Shot, camera: Camera) -> NDArray[np.int16]:
+    """In the object's axes, in units of 1 / UNIT."""
+    assert shot.normal is not None
+    image = image_file.read(shot.normal)
+    if image.ndim != 3:
+        raise InputError(f"{shot.normal}: a normal map has three channels, this has one")
+    normal = image[..., :3].astype(np.float32) * np.float32(2 / 255) - 1
+    length = np.sqrt(np.einsum("hwk,hwk->hw", normal, normal))
+    good = (length > LENGTHS[0]) & (length < LENGTHS[1])
+    normal = np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0)
+    normal = normal @ _axes(found.normal_space, camera).astype(np.float32)
+    return np.rint(UNIT * normal).astype(np.int16)
+
+
+def _axes(space: str, camera: Camera) -> Floats:
+    """Rows: the axes of normals in ``space``, in the object's."""
+    if space == "world":
+        return np.eye(3)
+    signs = np.array([1.0, 1.0, 1.0]) if space == "opencv" else np.array([1.0, -1.0, -1.0])
+    return np.asarray(signs[:, None] * camera.rotation)
+
+
+def check_normals(found: ViewSet, views: Views) -> None:
+    """Raise InputError, naming the axis to flip, unless normals point out of the outlines of the
+    masks and towards the cameras."""
+    space = found.normal_space
+    along = np.zeros(3)
+    both = total = 0.0
+    toward = 0.0
+    for number, camera in enumerate(views.cameras):
+        row, column, way = _rim(views.masks[number])
+        axes = _axes(space, camera)
+        normals: Any = views.normals
+        normal = normals[number][row, column] / UNIT
+        outward = way @ camera.rotation[:2]
+        some = (normal != 0).any(axis=1)
+        normal, outward = normal[some] @ axes.T, outward[some] @ axes.T
+        along += (normal * outward).sum(axis=0)
+        both += float((normal * outward).sum())
+        total += len(normal)
+        inner = normals[number][::4, ::4].reshape(-1, 3)
+        centres = camera.pixel_centres().reshape(camera.height, camera.width, 2)
+        rays = camera.rays(centres[::4, ::4].reshape(-1, 2))
+        toward -= float((inner * rays).sum()) / UNIT
+    wrong = [name for name, value in zip("xyz", along, strict=True) if value < -0.01 * total]
+    if not wrong and toward < 0:
+        # No outline shows the depth of camera axes, and turned right round all of them are wrong.
+        wrong = ["z"]
+    if wrong:
+        raise InputError(
+            f"{found.path}: the normal maps have their {' and '.join(wrong)} axis flipped (taken "
+            f"as {space} axes): flip it, or set normal_space to another of {', '.join(SPACES)}"
+        )
+    if total and both / total < AGREEING:
+        raise InputError(
+            f"{found.path}: the normal maps do not fit the masks (at the outlines the mean cosine "
+            f"to the way out is {both / total:.2f}); taken as {space} axes: set normal_space"
+        )
+
+
+def _rim(mask: NDArray[np.uint8]) -> tuple[Any, Any, Floats]:
+    """Rows and columns of the pixels within the outline, and the way out there ``(N, 2)``: right
+    and down. Where the object leaves the picture there is no outline."""
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+    inside = mask >= HALF
+    near = distance_transform_edt(np.pad(inside, 1, mode="edge"))[1:-1, 1:-1]
+    rows, columns = np.nonzero(inside & (near <= RIM))
+    smooth = gaussian_filter(inside.astype(np.float64), 2.0, mode="nearest")
+    down, right = np.gradient(smooth)
+    way = -np.column_stack([right[rows, columns], down[rows, columns]])
+    size = np.linalg.norm(way, axis=1)
+    good = size > 1e-3
+    return rows[good], columns[good], way[good] / size[good, None]
