@@ -50,6 +50,9 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "source/point_spacing": Layout((), "f", "typical spacing of the points", optional=True),
         "source/normals_agreement": Layout((), "f", "share of the given normals", optional=True),
         "source/missed": Layout((), "f", "share of the points off the surface", optional=True),
+        "source/agreement": Layout(
+            ("W",), "f", "of views: intersection over union of mask and surface", optional=True
+        ),
     },
     "init": {
         "generators": Layout(("N", 3), "f", "generators"),
@@ -72,6 +75,31 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "surface/face_generators": Layout(
             ("Fs", 2), "i", "trained face whose inside, whose outside generator bounds it"
         ),
+    },
+    "shade": {
+        **{
+            f"shader/{name}.weight": Layout((out, into), "f", "weights, float32")
+            for name, into, out in (
+                ("position.0", 27, "K"),
+                ("position.1", "K", "K"),
+                ("colour.0", "K+6", "K"),
+                ("colour.1", "K", "K"),
+                ("colour.2", "K", 3),
+            )
+        },
+        **{
+            f"shader/{name}.bias": Layout((out,), "f", "biases, float32")
+            for name, out in (
+                ("position.0", "K"),
+                ("position.1", "K"),
+                ("colour.0", "K"),
+                ("colour.1", "K"),
+                ("colour.2", 3),
+            )
+        },
+        "shader/centre": Layout((3,), "f", "the position that the network takes as the origin"),
+        "shader/size": Layout((), "f", "the length that it takes as 1"),
+        "history": Layout(("I", 1), "f", "loss by step"),
     },
     "volume": {
         "generators": Layout(("N", 3), "f", "generators"),

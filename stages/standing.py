@@ -14,7 +14,7 @@ from .contract import Params, Progress, Silent, Stage, options
 from .errors import ArtifactError, InputError
 from .sources.resolve import Identity, identify, identify_field, identify_path
 
-ORDER = ("classify", "init", "sphere-train", "volume", "evaluate", "fabricate")
+ORDER = ("classify", "init", "sphere-train", "volume", "shade", "evaluate", "fabricate")
 SETTINGS = ("seed", "device", "backend")
 """What of a session decides on a result."""
 
@@ -221,7 +221,11 @@ def _difference(
 
 def overall(session: Session) -> list[State]:
     """Where every stage of a run folder stands, evaluations of each stage included."""
-    states = [state(session, name) for name in ORDER if name != "evaluate"]
+    found = input_of(session)
+    left_out = (
+        {"evaluate"} if found is not None and found.kind == "views" else {"evaluate", "shade"}
+    )
+    states = [state(session, name) for name in ORDER if name not in left_out]
     stage = get("evaluate")
     for path in sorted(session.folder.path.glob("evaluate-*.json")):
         stored = manifest.read(path)

@@ -54,6 +54,7 @@ EXAMPLES = {
     "init": "vorolight init bunny.obj -n 25",
     "sphere-train": "vorolight sphere-train --iterations 800",
     "volume": "vorolight volume --inner 800",
+    "shade": "vorolight shade --render orbit",
     "evaluate": "vorolight evaluate --of init --reference bunny.obj",
     "fabricate": "vorolight fabricate --lamp --height 120",
 }
@@ -242,7 +243,10 @@ def _run_command() -> None:
             for stage in stages
         }
         first: str | None = None
+        source = standing.input_of(common.session)
         for stage in stages[: standing.ORDER.index(until) + 1]:
+            if stage.name == "shade" and (source is None or source.kind != "views"):
+                continue
             if first is not None:
                 common.console.say(f"{stage.name}: would run ({first} changed)")
                 common.console.data(
@@ -251,7 +255,7 @@ def _run_command() -> None:
                 continue
             ran = _execute(common, stage.name, planned[stage.name])
             # What nothing else reads makes nothing else stale.
-            if common.dry_run and ran and stage.name not in ("volume", "evaluate"):
+            if common.dry_run and ran and stage.name not in ("volume", "shade", "evaluate"):
                 first = stage.name
         if not common.dry_run:
             _write_report(common.session.folder, common.console)

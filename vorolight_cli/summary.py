@@ -42,6 +42,10 @@ def of(manifest: dict[str, Any], console: Console) -> str:
             f"{metrics['cells']} cells, {metrics['open_cells']} open, surface unchanged, "
             f"volume {metrics['cell_volume_sum']:.6g}"
         ),
+        "shade": lambda: (
+            f"trained on {metrics['trained_views']} views; PSNR on "
+            f"{len(metrics['held_out_views'])} held out: {_number(metrics['held_out_psnr'])} dB"
+        ),
         "evaluate": lambda: f"surface of {metrics['of']}",
         "fabricate": lambda: (
             f"{metrics['tubes']} tubes, {metrics['plates']} plates, "

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..surface.polygons import Floats, Ints, PolygonMesh
@@ -22,22 +23,30 @@ def encode(
     mesh: PolygonMesh,
     vertex_data: Mapping[str, Floats] | None = None,
     face_data: Mapping[str, Floats] | None = None,
+    colours: NDArray[np.uint8] | None = None,
 ) -> bytes:
-    """The PLY bytes of ``mesh``: double coordinates, int32 indices, optional float scalars."""
+    """The PLY bytes of ``mesh``: double coordinates, int32 indices, optional float scalars and
+    ``colours (V, 3)``: red, green and blue."""
     vertex_data, face_data = dict(vertex_data or {}), dict(face_data or {})
     header = ["ply", "format binary_little_endian 1.0", "comment vorolight"]
     header += [f"element vertex {mesh.vertex_count}"]
     header += [f"property double {axis}" for axis in "xyz"]
     header += [f"property float {name}" for name in vertex_data]
+    if colours is not None:
+        header += [f"property uchar {name}" for name in ("red", "green", "blue")]
     header += [f"element face {mesh.face_count}", "property list uchar int vertex_indices"]
     header += [f"property float {name}" for name in face_data]
     if mesh.face_count and mesh.valences.max() > 255:
         raise InputError("a face has more than 255 corners, which a PLY list cannot hold")
     fields = [("xyz", "<f8", (3,)), *((name, "<f4") for name in vertex_data)]
+    if colours is not None:
+        fields.append(("rgb", "u1", (3,)))
     vertices = np.zeros(mesh.vertex_count, dtype=fields)
     vertices["xyz"] = mesh.vertices
     for name, values in vertex_data.items():
         vertices[name] = values
+    if colours is not None:
+        vertices["rgb"] = colours
     extra = 4 * len(face_data)
     rows = 1 + 4 * mesh.valences + extra
     starts = np.concatenate([[0], np.cumsum(rows)]).astype(np.int64)

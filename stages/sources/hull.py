@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..render.views import Views
 from ..render.visibility import compiled
 from ..surface.polygons import Floats, Ints
+from .node_grid import NodeGrid
 
 COVERED = 128
 """Of 255, from which a pixel belongs to the object."""
@@ -229,39 +230,11 @@ class VisualHull:
 
         Raises InputError when no node of the grid is inside.
         """
-        import igl
-
         edge = float(np.ptp(box, axis=0).max()) / cells
-        # The outermost nodes are outside, so that the surface is closed.
-        shape = np.ceil(np.ptp(box, axis=0) / edge).astype(int) + 3
-        nodes = np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape[::-1])), axis=1)
-        points = np.ascontiguousarray(box[0] + edge * (nodes[:, ::-1] - 1.0))
-        values = self.values(points, BAND * edge)
-        outer = ((nodes == 0) | (nodes == shape[::-1] - 1)).any(axis=1)
-        values[outer] = -BAND * edge
+        grid = NodeGrid.around(box, edge)
+        values = self.values(grid.nodes, BAND * edge)
         if not (values > 0).any():
             raise InputError(
                 f"no voxel is inside all {len(self.names)} silhouettes; {self.disagreement(box)}"
             )
-        values[values == 0] = -1e-9 * edge
-        vertices, triangles, _ = igl.marching_cubes(-values, points, *map(int, shape), 0.0)
-        return _without_specks(np.asarray(vertices), np.asarray(triangles, np.int64))
-
-
-def _without_specks(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Without the small pieces that silhouettes leave where no view looks between them."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = csr_array(
-        (np.ones(len(triangles)), (triangles[:, 0], triangles[:, 1])), (len(vertices),) * 2
-    )
-    count, part = connected_components(graph, directed=False)
-    part = part[triangles[:, 0]]
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    volume = np.bincount(part, np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)
-    kept = np.abs(volume) > SPECK * np.abs(volume).max()
-    triangles = triangles[kept[part]]
-    used = np.zeros(len(vertices), dtype=bool)
-    used[triangles] = True
-    return vertices[used], (np.cumsum(used) - 1)[triangles]
+        return grid.surface(np.where(values == 0, -1e-9 * edge, values), SPECK)

@@ -24,6 +24,7 @@ from ..surface.geometry import limited, triangle_normals
 from ..surface.operations import contract_short, flip, fold_cosines, split_long, valence_gain
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import relax
+from .node_grid import NodeGrid
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,13 @@ class Level:
     rounds: int
 
 
-LEVELS = (Level(1 / 50, 8), Level(1 / 90, 3))
+LEVELS = (Level(1 / 50, 8), Level(1 / 50, 4), Level(1 / 90, 3))
 STEPS = 2
 """Gauss-Newton steps in a round."""
+CELLS = 120
+"""Of a unit, where crossing parts are united."""
+SPECK = 1e-4
+"""Share of the volume of the largest piece below which a piece is left out then."""
 OUTLINE = 3.0
 """Weight of the outlines: of squared distances in edges, integrated along them."""
 BEND, UNTOLD, BLIND = 0.05, 0.3, 1.0
@@ -91,7 +96,9 @@ def fit(
     ``doubtful`` masks may be wrong. ``tick`` is called after each round.
     """
     mesh = Sized(vertices, triangles, np.zeros(len(vertices)))
-    for level in LEVELS:
+    for number, level in enumerate(LEVELS):
+        if number:
+            mesh = _solid(mesh)
         for _ in range(level.rounds):
             mesh = _remeshed(mesh, level.edge)
             table = EdgeTable.of(mesh.triangles)
@@ -179,6 +186,25 @@ def _step(mesh: Sized, table: EdgeTable, seen: list[Seen], edge: float, doubtful
         blocks.append(Block(laplacian.rows, 3 * laplacian.columns + k, entries, bent[:, k]))
     free = np.ones(3 * len(vertices), dtype=bool)
     return limited(GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3), edge)
+
+
+def _solid(mesh: Sized) -> Sized:
+    """The surface of what the mesh goes round once: without what is inside out, or crosses."""
+    import igl
+
+    cell = 1 / CELLS
+    vertices, triangles = np.ascontiguousarray(mesh.vertices), mesh.triangles
+    grid = NodeGrid.around(vertices, cell)
+    inside = np.asarray(igl.fast_winding_number(vertices, triangles, grid.nodes)) > 0.5
+    values = np.where(inside, cell, -cell)
+    near = grid.beside(inside)
+    square = igl.point_mesh_squared_distance(
+        np.ascontiguousarray(grid.nodes[near]), vertices, triangles
+    )[0]
+    distance = np.maximum(np.sqrt(square), 1e-6 * cell)
+    values[near] = np.where(inside[near], distance, -distance)
+    made, faces = grid.surface(values, SPECK)
+    return Sized(made, faces, np.zeros(len(made)))
 
 
 def _unfold(mesh: Sized) -> None:

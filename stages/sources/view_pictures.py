@@ -23,8 +23,12 @@ LENGTHS = (0.7, 1.3)
 """Between them a pixel of a normal map holds a normal."""
 RIM = 1.5
 """Pixels from the outline in which a normal should point the way out."""
-AGREEING = 0.5
-"""Mean cosine of normals and the way out, at the outlines, below which the maps are wrong."""
+AGREEING, TELLING = 0.4, 0.2
+"""Mean cosine, in the picture, of normals and the way out, at the outlines, below which the maps
+are wrong; it is asked if normals there lie so far in the picture, on average."""
+FLIPPED = 0.3
+"""Share of what an axis adds to that, without regard to signs, from which on less than nothing
+means that it is flipped."""
 
 
 def load(found: ViewSet, threads: int = 1) -> Views:
@@ -126,25 +130,28 @@ def check_normals(found: ViewSet, views: Views) -> None:
     """Raise InputError, naming the axis to flip, unless normals point out of the outlines of the
     masks and towards the cameras."""
     space = found.normal_space
-    along = np.zeros(3)
-    both = total = 0.0
-    toward = 0.0
+    along, size = np.zeros(3), np.zeros(3)
+    sideways = toward = total = 0.0
     for number, camera in enumerate(views.cameras):
         row, column, way = _rim(views.masks[number])
         axes = _axes(space, camera)
         normals: Any = views.normals
         normal = normals[number][row, column] / UNIT
         outward = way @ camera.rotation[:2]
-        some = (normal != 0).any(axis=1)
-        normal, outward = normal[some] @ axes.T, outward[some] @ axes.T
-        along += (normal * outward).sum(axis=0)
-        both += float((normal * outward).sum())
+        sideways += float(np.linalg.norm(normal @ camera.rotation[:2].T, axis=1).sum())
         total += len(normal)
+        product = (normal @ axes.T) * (outward @ axes.T)
+        along += product.sum(axis=0)
+        size += np.abs(product).sum(axis=0)
         inner = normals[number][::4, ::4].reshape(-1, 3)
         centres = camera.pixel_centres().reshape(camera.height, camera.width, 2)
         rays = camera.rays(centres[::4, ::4].reshape(-1, 2))
         toward -= float((inner * rays).sum()) / UNIT
-    wrong = [name for name, value in zip("xyz", along, strict=True) if value < -0.01 * total]
+    wrong = [
+        name
+        for name, value, most in zip("xyz", along, size, strict=True)
+        if value < -FLIPPED * most and most > 0.01 * total
+    ]
     if not wrong and toward < 0:
         # No outline shows the depth of camera axes, and turned right round all of them are wrong.
         wrong = ["z"]
@@ -153,10 +160,12 @@ def check_normals(found: ViewSet, views: Views) -> None:
             f"{found.path}: the normal maps have their {' and '.join(wrong)} axis flipped (taken "
             f"as {space} axes): flip it, or set normal_space to another of {', '.join(SPACES)}"
         )
-    if total and both / total < AGREEING:
+    # Of a box that stands square to the cameras, the pixels at the outlines say nothing.
+    if sideways > TELLING * total and along.sum() < AGREEING * sideways:
         raise InputError(
             f"{found.path}: the normal maps do not fit the masks (at the outlines the mean cosine "
-            f"to the way out is {both / total:.2f}); taken as {space} axes: set normal_space"
+            f"to the way out is {along.sum() / sideways:.2f}); taken as {space} axes: set "
+            "normal_space"
         )
 
 
