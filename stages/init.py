@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from .losses.images import ImageLoss
     from .losses.shape import ShapeLoss
     from .sources.voxels import VoxelGrid
     from .surface.model_frame import ModelFrame
@@ -73,8 +74,9 @@ class Params(contract.Params):
     """Weight of area uniformity: 0.01, from voxels 0.1."""
     weight_centroid: Positive = 0.1
     """Weight of centroid alignment."""
-    shape_loss: Literal["distance", "level-set", "chamfer"] = "distance"
-    """Distance to the surface, or the paper's: level-set for fields, Chamfer for meshes."""
+    shape_loss: Literal["distance", "level-set", "chamfer", "images"] = "distance"
+    """Distance to the surface, or the paper's: level-set for fields, Chamfer for meshes, masks and
+    normals of images for views."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
 
@@ -112,7 +114,7 @@ def run(context: Context) -> Outcome:
     shape_loss = shape.for_source(context, frame, params.shape_loss)
 
     def losses(iteration: int) -> dict[str, torch.Tensor]:
-        return surface_losses(generators, inside, shape_loss)
+        return surface_losses(generators, inside, shape_loss, iteration)
 
     history = adam(
         {"generators": generators},
@@ -188,7 +190,10 @@ def run(context: Context) -> Outcome:
 
 
 def surface_losses(
-    generators: torch.Tensor, inside: NDArray[np.bool_], shape_loss: ShapeLoss
+    generators: torch.Tensor,
+    inside: NDArray[np.bool_],
+    shape_loss: ShapeLoss | ImageLoss,
+    iteration: int = 0,
 ) -> dict[str, torch.Tensor]:
     """The losses of the interface of ``generators (N, 3)``, in a diagram of their own."""
     import torch
@@ -207,7 +212,7 @@ def surface_losses(
     connectivity = Connectivity.of(mesh, str(generators.device))
     frames = face_frames(vertices, connectivity)
     return {
-        "shape": shape_loss(shape.surface_samples(vertices, frames), True),
+        "shape": shape.evaluate(shape_loss, vertices, frames, mesh, iteration, True),
         "normal": regularization.normal_consistency(frames, connectivity),
         "area": regularization.area_uniformity(frames),
         "centroid": regularization.centroid_alignment(frames, connectivity),
@@ -266,7 +271,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="init",
-    version=3,
+    version=4,
     params=Params,
     run=run,
     parents=lambda params: ("classify",),

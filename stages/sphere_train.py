@@ -81,9 +81,9 @@ class Params(contract.Params):
     """Weight of vertices amid their neighbours, along the surface."""
     weight_radius: Positive = 0.02
     """Weight of radii near the mean of their neighbours' (triangles)."""
-    shape_loss: Literal["distance", "level-set", "chamfer"] | None = None
+    shape_loss: Literal["distance", "level-set", "chamfer", "images"] | None = None
     """Distance to the surface (the default), or, trained as in the paper, its own: level-set for
-    fields, Chamfer for meshes (the default of the preset)."""
+    fields, Chamfer for meshes, images for views (the default of the preset)."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
     merge: Positive = 0.1
@@ -391,7 +391,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=5,
+    version=6,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

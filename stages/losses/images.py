@@ -1,6 +1,6 @@
 """Losses of a surface seen by calibrated cameras (paper's appendix A.1): silhouettes, normals.
 
-No torch is needed to evaluate them; ``Images`` has both as a differentiable function of tensors.
+``Silhouettes`` needs no torch; ``ImageLoss`` makes a differentiable function of tensors of it.
 """
 
 from __future__ import annotations
@@ -11,18 +11,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..artifacts.randomness import generator
+from ..errors import NumericalFailure
 from ..render import visibility
-from ..surface.edge_table import EdgeTable
-from ..surface.polygons import Floats, Ints
+from ..surface.polygons import Floats, Ints, PolygonMesh
 
 if TYPE_CHECKING:
     import torch
 
     from ..render.cameras import Camera
     from ..render.views import Views
+    from ..surface.frames import Frames
 
 MOST_VIEWS = 66
 """Views in a step, at most (the paper's number)."""
+PIXELS = 256
+"""Along a side of the pictures in which the loss is taken; larger ones are shrunk to about this."""
+MASK, NORMAL = 10.0, 1.0
+"""Weights of the two parts in the shape loss: a surface a tenth of a voxel off costs about as much
+as by its mean squared distance."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +50,12 @@ class Silhouettes:
     def __init__(self, views: Views, threads: int) -> None:
         self.views, self.threads = views, threads
 
-    def __call__(self, vertices: Floats, triangles: Ints, table: EdgeTable, chosen: Ints) -> Terms:
-        """The terms over the views ``chosen``; ``table`` holds the edges of ``triangles``."""
+    def __call__(self, vertices: Floats, triangles: Ints, chosen: Ints) -> Terms:
+        """The terms over the views ``chosen``. Raises NumericalFailure for an open surface."""
+        edges = edge_pairs(triangles)
 
         def one(number: int) -> tuple[float, Floats, Floats, float]:
-            return self._one(int(number), vertices, triangles, table)
+            return self._one(int(number), vertices, triangles, *edges)
 
         if self.threads > 1:
             with ThreadPoolExecutor(self.threads) as pool:
@@ -63,7 +71,7 @@ class Silhouettes:
         )
 
     def _one(
-        self, number: int, vertices: Floats, triangles: Ints, table: EdgeTable
+        self, number: int, vertices: Floats, triangles: Ints, ends: Ints, sides: Ints
     ) -> tuple[float, Floats, Floats, float]:
         camera = self.views.cameras[number]
         screen = camera.project(vertices)
@@ -71,7 +79,7 @@ class Silhouettes:
         target = self.views.masks[number] * np.float32(1 / 255)
         flat = np.zeros((len(vertices), 2))
         loss = visibility.silhouette(
-            screen, table.ends, table.triangles, facing(screen, triangles), seen, target, flat
+            screen, ends, sides, facing(screen, triangles), seen, target, flat
         )
         touched = np.flatnonzero(flat.any(axis=1))
         gradient = np.zeros((len(vertices), 3))
@@ -87,6 +95,20 @@ class Silhouettes:
         if weight:
             votes /= weight
         return float(loss), gradient, votes, float(weight > 0)
+
+
+def edge_pairs(triangles: Ints) -> tuple[Ints, Ints]:
+    """Edges of a closed surface ``(E, 2)`` and the two triangles of each; an edge in which several
+    sheets meet is there once for each. Raises NumericalFailure where one has no other side."""
+    count = len(triangles)
+    start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
+    key = np.minimum(start, end) * (int(triangles.max()) + 1) + np.maximum(start, end)
+    up = np.flatnonzero(start < end)
+    down = np.flatnonzero(start > end)
+    up, down = (half[np.argsort(key[half], kind="stable")] for half in (up, down))
+    if 2 * len(up) != 3 * count or not np.array_equal(key[up], key[down]):
+        raise NumericalFailure("the surface is not closed and cannot be compared with pictures")
+    return np.stack([start[up], end[up]], axis=1), np.stack([up // 3, down // 3], axis=1)
 
 
 def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
@@ -110,6 +132,34 @@ def ray_matrix(camera: Camera) -> Floats:
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.matrix))
 
 
+class ImageLoss:
+    """``MASK L_mask + NORMAL L_normal`` of polygons, fanned about their centroids."""
+
+    def __init__(self, views: Views, seed: int, threads: int) -> None:
+        factor = max(1, round(max(views.masks.shape[1:]) / PIXELS))
+        self.silhouettes = Silhouettes(views.shrunk(factor), threads)
+        self.seed = seed
+
+    def __call__(
+        self, vertices: torch.Tensor, frames: Frames, mesh: PolygonMesh, iteration: int
+    ) -> torch.Tensor:
+        """Of the polygons of ``mesh`` over ``vertices (V, 3)``, in as many views as are taken in
+        a step, at random."""
+        import torch
+
+        count = len(self.silhouettes.views)
+        chosen = np.arange(count)
+        if count > MOST_VIEWS:
+            random = generator(self.seed, "losses", "views", iteration)
+            chosen = np.sort(random.permutation(count)[:MOST_VIEWS])
+        middle = len(mesh.vertices) + mesh.corner_faces
+        triangles = np.stack([middle, mesh.face_vertices, mesh.next_vertices], axis=1)
+        mask, normal = image_losses(
+            self.silhouettes, torch.cat([vertices, frames.centroid]), triangles, chosen
+        )
+        return MASK * mask + NORMAL * normal
+
+
 def image_losses(
     silhouettes: Silhouettes, vertices: torch.Tensor, triangles: Ints, chosen: Ints
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -117,8 +167,7 @@ def image_losses(
     which triangle a pixel sees, and whether its centre is covered, is taken as fixed."""
     import torch
 
-    table = EdgeTable.of(triangles)
-    terms = silhouettes(vertices.detach().cpu().numpy(), triangles, table, chosen)
+    terms = silhouettes(vertices.detach().cpu().numpy(), triangles, chosen)
     slope = torch.as_tensor(terms.mask_gradient, device=vertices.device)
     # Zero in value, the slope in gradient.
     mask = terms.mask + ((vertices - vertices.detach()) * slope).sum()

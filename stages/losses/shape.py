@@ -15,7 +15,8 @@ import torch
 from ..errors import NumericalFailure, UsageError
 from ..surface.frames import Frames
 from ..surface.model_frame import ModelFrame
-from ..surface.polygons import Floats
+from ..surface.polygons import Floats, PolygonMesh
+from .images import ImageLoss
 
 if TYPE_CHECKING:
     from ..contract import Context
@@ -31,20 +32,41 @@ ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
 """``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
 
 
+def evaluate(
+    loss: ShapeLoss | ImageLoss,
+    vertices: torch.Tensor,
+    frames: Frames,
+    mesh: PolygonMesh,
+    iteration: int,
+    refresh: bool,
+) -> torch.Tensor:
+    """``loss`` of the polygons of ``mesh`` over ``vertices (V, 3)``."""
+    if isinstance(loss, ImageLoss):
+        return loss(vertices, frames, mesh, iteration)
+    return loss(surface_samples(vertices, frames), refresh)
+
+
 def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:
     """Face vertices, face centroids and fan-triangle centres, ``(V + F + sum, 3)``."""
     return torch.cat([vertices, frames.centroid, frames.fan_centres])
 
 
-def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss:
-    """The loss ``kind``: distance, level-set, chamfer, or paper for whichever of the last two fits.
+def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | ImageLoss:
+    """The loss ``kind``: distance, level-set, chamfer, images, or paper for whichever of the last
+    three fits.
 
     Raises UsageError when the input does not have it.
     """
     from ..sources.fields import FieldSource
+    from ..sources.images import ViewSource
     from ..sources.points import PointSource
 
     source, params = context.source(), context.params
+    if isinstance(source, ViewSource) and kind in ("images", "paper"):
+        views = source.views.in_frame(frame.origin, frame.spacing)
+        return ImageLoss(views, context.seed, context.threads)
+    if kind == "images":
+        raise UsageError(f"--shape-loss images: the input is a {source.kind}; only views have them")
     if isinstance(source, FieldSource):
         if kind == "chamfer":
             raise UsageError("--shape-loss chamfer: a field has no target points; use level-set")

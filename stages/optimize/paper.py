@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 
 from ..losses import regularization, sphere
-from ..losses.shape import ShapeLoss, surface_samples
+from ..losses.images import ImageLoss
+from ..losses.shape import ShapeLoss, evaluate
 from ..surface.frames import Connectivity, face_frames
 from ..surface.polygons import Floats, PolygonMesh
 from ..surface.spheres import initial_spheres, near_pairs
@@ -28,7 +29,7 @@ CORRESPONDENCES_EVERY = 10
 
 def train(
     mesh: PolygonMesh,
-    shape_loss: ShapeLoss,
+    shape_loss: ShapeLoss | ImageLoss,
     weights: Mapping[str, float],
     schedule: Schedule,
     checkpoints: Checkpoints,
@@ -69,8 +70,13 @@ def train(
                 outer, inner, centres, radii, connectivity.corner_faces, connectivity.corners
             ),
             "exclusion": sphere.exclusion(points, centres, radii, near[0], near[1]),
-            "shape": shape_loss(
-                surface_samples(centres, frames), iteration % CORRESPONDENCES_EVERY == 0
+            "shape": evaluate(
+                shape_loss,
+                centres,
+                frames,
+                mesh,
+                iteration,
+                iteration % CORRESPONDENCES_EVERY == 0,
             ),
             "normal": regularization.normal_consistency(frames, connectivity),
         }
