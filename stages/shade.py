@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from .sources.images import ViewSource
     from .surface.polygons import Floats, Ints, PolygonMesh
 
-SHARE = 0.75
-"""Of the valid pixels of a view that a step looks at."""
+SHARE, MOST = 0.75, 8_000
+"""Of the valid pixels of a view that a step looks at, and how many at most."""
 CHECKPOINT_EVERY = 200
 ELEVATION = 15.0
 """Of the cameras of an orbit, in degrees."""
@@ -38,7 +38,7 @@ SAMPLES = 2
 class Params(contract.Params):
     """Options of the shade stage."""
 
-    iterations: Annotated[int, Range(0, 1_000_000)] = 1500
+    iterations: Annotated[int, Range(0, 1_000_000)] = 2000
     """Adam steps, one view each."""
     learning_rate: Positive = 1e-3
     """Adam step; decays to 0 as a cosine."""
@@ -112,7 +112,7 @@ def run(context: Context) -> Outcome:
         if place == 0 or not order:
             order[:] = trained[context.random("order", turn).permutation(len(trained))].tolist()
         point, normal, ray, colour = pixels.of(order[place])
-        count = max(1, int(SHARE * len(point)))
+        count = max(1, min(MOST, int(SHARE * len(point))))
         chosen = context.random("pixels", iteration).permutation(len(point))[:count]
         found = shade(
             weights,

@@ -36,7 +36,7 @@ from .session import (
     common_options,
     identity_of,
 )
-from .views import views
+from .views import from_image, views
 
 HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -333,6 +333,7 @@ def sample(
 
 
 app.command()(guarded(views))
+app.command()(guarded(from_image))
 
 
 def _version(wanted: bool) -> None:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Input = Annotated[
     str | None,
     typer.Argument(
-        help="A mesh, a point cloud, views (a folder or transforms.json), or a field: heart, sphere, "
-        "torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz)."
+        help="A mesh, a point cloud, views (a folder or transforms.json), or a field: heart, "
+        "sphere, torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz)."
     ),
 ]
 Field = Annotated[

@@ -1,4 +1,5 @@
-"""``vorolight views``: a set of views rendered from a mesh."""
+"""``vorolight views`` and ``from-image``: sets of views, rendered from a mesh or made of one
+picture."""
 
 from __future__ import annotations
 
@@ -7,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from vorolight.stages.errors import UsageError
+from vorolight.stages.errors import BackendMissing, InputError, UsageError
 
 from .console import Console
-from .session import Quiet, Threads, Verbose
+from .session import AllowCode, Quiet, Threads, Verbose
 
 
 def views(
@@ -56,3 +57,53 @@ def views(
     finally:
         console.finish()
     print(written)
+
+
+def from_image(
+    photo: Annotated[Path, typer.Argument(help="A picture of the object.")],
+    six_views: Annotated[
+        Path | None,
+        typer.Option(
+            help="A folder of six views made of it elsewhere: front, right, back, left, top and "
+            "bottom.png, and maybe front_normal.png and so on.",
+            show_default=False,
+        ),
+    ] = None,
+    generator: Annotated[
+        str | None,
+        typer.Option(
+            help="MODULE:FUNCTION, called with the picture, that makes such a folder.",
+            show_default=False,
+        ),
+    ] = None,
+    allow_code: AllowCode = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="The set of views. Default: PHOTO-views."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a set that is there.")] = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make a set of views of one picture, by a generator of six views. No weights come with
+    vorolight: give views made elsewhere, or a function that calls a generator.
+
+    Example: vorolight from-image cow.jpg --six-views cow-made && vorolight run cow-views -n 40
+    """
+    from vorolight.stages.sources import six_views as six
+
+    if not photo.is_file():
+        raise InputError(f"{photo}: no such file; give a picture")
+    if six_views is not None and generator is not None:
+        raise UsageError("--generator: there are --six-views already; give one of them")
+    if six_views is not None:
+        made = six.of_folder(six_views)
+    elif generator is not None:
+        made = six.of_generator(generator, photo, allow_code)
+    else:
+        raise BackendMissing(
+            "no generator of six views is installed: draw them elsewhere, such as with "
+            "Hunyuan3D-2, and give --six-views FOLDER, or a function that calls it with "
+            "--generator MODULE:FUNCTION"
+        )
+    target = six.write(made, output or photo.with_name(f"{photo.stem}-views"), force)
+    print(f"{target}\nnow: vorolight run {target.parent} -n 40")

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, Ints
+from . import visibility
 
-FRAGMENTS_AT_ONCE = 4_000_000
 SUPERSAMPLING = 2
 BACKGROUND = np.array([1.0, 1.0, 1.0])
 NIGHT = np.array([0.045, 0.05, 0.075])
@@ -65,55 +65,11 @@ def rasterize(vertices: Floats, triangles: Ints, camera: View, width: int, heigh
     size = np.array([width, height])
     scale = float((0.92 * size / np.maximum(high - low, 1e-300)).min())
     screen = (placed[:, :2] - 0.5 * (low + high)) * scale * [1, -1] + 0.5 * size
-    corners, depths = screen[triangles], placed[triangles, 2]
-    first = np.clip(np.ceil(corners.min(axis=1) - 0.5), 0, size).astype(np.int64)
-    last = np.clip(np.floor(corners.max(axis=1) - 0.5), -1, size - 1).astype(np.int64)
-    extent = np.maximum(last - first + 1, 0)
-    count = extent.prod(axis=1)
-    seen = np.full(width * height, -1, dtype=np.int64)
-    nearest = np.full(width * height, -np.inf)
-    arms = np.diff(corners, axis=1)
-    facing = arms[:, 0, 0] * arms[:, 1, 1] - arms[:, 0, 1] * arms[:, 1, 0] < 0
-    order = np.flatnonzero((count > 0) & facing)
-    total = np.cumsum(count[order])
-    at = 0
-    while at < len(order):
-        done = total[at - 1] if at else 0
-        stop = max(at + 1, int(np.searchsorted(total, done + FRAGMENTS_AT_ONCE, side="right")))
-        part = order[at:stop]
-        owner = np.repeat(part, count[part])
-        within = np.arange(len(owner)) - np.repeat(
-            np.cumsum(count[part]) - count[part], count[part]
-        )
-        x = first[owner, 0] + within % extent[owner, 0]
-        y = first[owner, 1] + within // extent[owner, 0]
-        _paint(corners, depths, owner, x, y, width, seen, nearest)
-        at = stop
-    return Visible(seen.reshape(height, width), nearest.reshape(height, width), 1 / scale)
-
-
-def _paint(
-    corners: Floats, depths: Floats, owner: Ints, x: Ints, y: Ints, width: int, seen: Ints,
-    nearest: Floats,
-) -> None:  # fmt: skip
-    a, b, c = corners[owner, 0], corners[owner, 1], corners[owner, 2]
-    px, py = x + 0.5, y + 0.5
-
-    def side(p: Floats, q: Floats) -> Floats:
-        return (q[:, 0] - p[:, 0]) * (py - p[:, 1]) - (q[:, 1] - p[:, 1]) * (px - p[:, 0])
-
-    wa, wb, wc = side(b, c), side(c, a), side(a, b)
-    area = wa + wb + wc
-    hit = (area < 0) & (wa <= 0) & (wb <= 0) & (wc <= 0)
-    owner, area = owner[hit], area[hit]
-    weights = np.stack([wa[hit], wb[hit], wc[hit]], axis=1) / area[:, None]
-    depth = np.einsum("ij,ij->i", weights, depths[owner])
-    pixel = y[hit] * width + x[hit]
-    front = depth > nearest[pixel]
-    owner, depth, pixel = owner[front], depth[front], pixel[front]
-    order = np.argsort(depth, kind="stable")  # of equal pixels the last assignment stays
-    nearest[pixel[order]] = depth[order]
-    seen[pixel[order]] = owner[order]
+    seen, nearest = np.empty((height, width), np.int32), np.empty((height, width))
+    visibility.paint(
+        np.column_stack([screen, placed[:, 2]]), triangles, False, False, seen, nearest
+    )
+    return Visible(seen, nearest, 1 / scale)
 
 
 def _normals(vertices: Floats, triangles: Ints) -> Floats:

@@ -1,4 +1,4 @@
-"""Fields that are functions in a Python module of the user's, run only when that is allowed."""
+"""Functions in a Python module of the user's, fields among them; run only when that is allowed."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ def is_code(text: str) -> bool:
     return _NAME.fullmatch(text) is not None
 
 
-def file_of(text: str) -> Path:
+def file_of(text: str, flag: str = "--field") -> Path:
     """The file of the module in ``module:function``; nothing is imported to find it.
 
-    Raises InputError when there is none in the current folder nor where Python looks.
+    Raises InputError when there is none in the current folder nor where Python looks; ``flag`` is
+    the option that it was given with.
     """
     module = text.partition(":")[0]
     places: Any = [str(Path.cwd()), *sys.path]
@@ -35,7 +36,7 @@ def file_of(text: str) -> Path:
         spec = PathFinder.find_spec(part, places) if places else None
         places = spec.submodule_search_locations if spec else None
     if spec is None or spec.origin is None:
-        raise InputError(f"--field {text}: no module {module} here or where Python looks")
+        raise InputError(f"{flag} {text}: no module {module} here or where Python looks")
     return Path(spec.origin)
 
 
@@ -61,15 +62,15 @@ class CodeField:
         return value
 
 
-def load(text: str, allowed: bool) -> CodeField:
-    """The field of ``module:function``, which is imported and tried.
+def imported(text: str, allowed: bool, flag: str) -> Any:
+    """The function of ``module:function``, which is imported.
 
-    Raises UsageError unless code is ``allowed``, InputError when it cannot be used.
+    Raises UsageError unless code is ``allowed``, InputError when there is none.
     """
-    place = file_of(text)
+    place = file_of(text, flag)
     if not allowed:
         raise UsageError(
-            f"--field {text}: runs the Python code in {place}; add --allow-code if you trust it"
+            f"{flag} {text}: runs the Python code in {place}; add --allow-code if you trust it"
         )
     module, _, function = text.partition(":")
     here = str(Path.cwd())
@@ -79,15 +80,23 @@ def load(text: str, allowed: bool) -> CodeField:
     # So may its import.
     except Exception as error:
         raise InputError(
-            f"--field {text}: {place} fails ({type(error).__name__}: {error})"
+            f"{flag} {text}: {place} fails ({type(error).__name__}: {error})"
         ) from error
     finally:
         sys.path.remove(here)
     if not callable(found):
-        raise InputError(f"--field {text}: {place} has no function {function}")
+        raise InputError(f"{flag} {text}: {place} has no function {function}")
+    return found
+
+
+def load(text: str, allowed: bool) -> CodeField:
+    """The field of ``module:function``, which is imported and tried.
+
+    Raises UsageError unless code is ``allowed``, InputError when it cannot be used.
+    """
+    field = CodeField(text, imported(text, allowed, "--field"))
     import torch
 
-    field = CodeField(text, found)
     at = np.linspace(-1, 1, 4)
     field(at, at, at, np)
     field(torch.tensor(at), torch.tensor(at), torch.tensor(at), torch)

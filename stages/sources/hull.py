@@ -58,8 +58,8 @@ def hull_values(
     points: Any, projection: Any, focal: Any, distances: Any, votes: int, band: float, values: Any
 ) -> None:  # pragma: no cover
     """How far each of ``points (N, 3)`` is inside the hull, ``values (N,)``: the smallest of its
-    distances to the silhouettes of the views that see it, ``votes`` smaller ones left out; ``-band``
-    where that is less or no view sees it."""
+    distances to the silhouettes of the views that see it, ``votes`` smaller ones left out;
+    ``-band`` where that is less or no view sees it."""
     count, height, width = distances.shape
     least = np.empty(votes + 1)
     for n in range(len(points)):

@@ -20,7 +20,7 @@ from ..optimize.least_squares import Block, GaussNewton
 from ..render import visibility
 from ..render.views import Views
 from ..surface.edge_table import EdgeTable, Sized
-from ..surface.geometry import limited, triangle_normals
+from ..surface.geometry import limited, triangle_areas
 from ..surface.operations import contract_short, flip, fold_cosines, split_long, valence_gain
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import relax
@@ -152,7 +152,7 @@ def _observed(
 def _step(mesh: Sized, table: EdgeTable, seen: list[Seen], edge: float, doubtful: bool) -> Floats:
     """Movements ``(V, 3)``, none longer than an edge."""
     vertices, triangles = mesh.vertices, mesh.triangles
-    normals, areas = triangle_normals(vertices, triangles)
+    areas = triangle_areas(vertices, triangles)
     votes = np.sum([each.votes for each in seen], axis=0)
     shown = sum(each.area * np.linalg.norm(each.votes, axis=1) for each in seen)
     # A vote from straight ahead weighs e; halfway to the side, less.
