@@ -55,11 +55,21 @@ def projections(views: Views) -> tuple[Floats, Floats]:
 
 @compiled
 def hull_values(
-    points: Any, projection: Any, focal: Any, distances: Any, votes: int, band: float, values: Any
+    points: Any,
+    projection: Any,
+    focal: Any,
+    distances: Any,
+    leaves: Any,
+    votes: int,
+    band: float,
+    values: Any,
 ) -> None:  # pragma: no cover
     """How far each of ``points (N, 3)`` is inside the hull, ``values (N,)``: the smallest of its
     distances to the silhouettes of the views that see it, ``votes`` smaller ones left out;
-    ``-band`` where that is less or no view sees it."""
+    ``-band`` where that is less or no view sees it.
+
+    What lies beyond a side of a picture is outside, unless the silhouette ``leaves (N, 4)`` it
+    there: on the left, right, top or bottom; then that view does not see it."""
     count, height, width = distances.shape
     least = np.empty(votes + 1)
     for n in range(len(points)):
@@ -72,8 +82,16 @@ def hull_values(
                 continue
             column = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / depth - 0.5
             row = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / depth - 0.5
-            if column < -0.5 or row < -0.5 or column > width - 0.5 or row > height - 0.5:
-                continue
+            beyond = (
+                column < -0.5, column > width - 0.5, row < -0.5, row > height - 0.5
+            )  # fmt: skip
+            if beyond[0] or beyond[1] or beyond[2] or beyond[3]:
+                outside = False
+                for side in range(4):
+                    if beyond[side] and not leaves[v, side]:
+                        outside = True
+                if not outside:
+                    continue
             j = min(max(int(np.floor(column)), 0), width - 2)
             i = min(max(int(np.floor(row)), 0), height - 2)
             s, t = column - j, row - i
@@ -81,6 +99,8 @@ def hull_values(
                 (1 - s) * distances[v, i + 1, j] + s * distances[v, i + 1, j + 1]
             )
             d *= depth / focal[v]
+            if beyond[0] or beyond[1] or beyond[2] or beyond[3]:
+                d = -band
             if d < least[votes]:
                 k = votes
                 while k > 0 and least[k - 1] > d:
@@ -101,6 +121,9 @@ class VisualHull:
         small = views.shrunk(factor)
         self.distances = signed_distances(small, threads)
         self.projection, self.focal = projections(small)
+        inside = self.distances > 0
+        borders = (inside[:, :, 0], inside[:, :, -1], inside[:, 0], inside[:, -1])
+        self.leaves = np.stack([border.any(axis=1) for border in borders], axis=1)
 
     def values(self, points: Floats, band: float) -> Floats:
         """See ``hull_values``."""
@@ -110,8 +133,9 @@ class VisualHull:
         def one(part: Ints) -> None:
             found = np.empty(len(part))
             hull_values(
-                points[part], self.projection, self.focal, self.distances, self.votes, band, found
-            )
+                points[part], self.projection, self.focal, self.distances, self.leaves,
+                self.votes, band, found,
+            )  # fmt: skip
             result[part] = found
 
         with ThreadPoolExecutor(self.threads) as pool:
@@ -218,12 +242,13 @@ class VisualHull:
         for v in range(len(self.names)):
             hull_values(
                 points, self.projection[v : v + 1], self.focal[v : v + 1],
-                self.distances[v : v + 1], 0, edge, found,
+                self.distances[v : v + 1], self.leaves[v : v + 1], 0, edge, found,
             )  # fmt: skip
             inside[v] = found > 0
         agree = inside.sum(axis=0)
         against = (~inside[:, agree == agree.max()]).mean(axis=1)
-        return self._worst(np.argsort(-against, kind="stable"))
+        worst = np.argsort(-against, kind="stable")[: np.count_nonzero(against)]
+        return self._worst(worst)
 
     def surface(self, box: Floats, cells: int) -> tuple[Floats, Ints]:
         """Vertices and outward triangles of the hull on a grid of ``cells`` along the longest side.
