@@ -75,7 +75,7 @@ class Geometry:
             for values in (self.vertices, self.normals)
         )
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        rays = camera.rays(np.column_stack([hit.columns, hit.rows]) + 0.5)
+        rays = camera.rays(np.column_stack([hit.columns, hit.rows]).astype(np.float64) + 0.5)
         return hit.rows, hit.columns, point, normal, rays
 
 

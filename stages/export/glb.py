@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,4 +16,5 @@ def encode(vertices: Floats, triangles: Ints, colours: NDArray[np.uint8]) -> byt
 
     opaque = np.column_stack([colours, np.full(len(colours), 255, np.uint8)])
     mesh = trimesh.Trimesh(vertices, triangles, vertex_colors=opaque, process=False)
-    return bytes(mesh.export(file_type="glb"))
+    data: Any = mesh.export(file_type="glb")
+    return bytes(data)

@@ -113,7 +113,7 @@ def edge_pairs(triangles: Ints) -> tuple[Ints, Ints]:
 
 def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
     """The triangle that each pixel centre sees ``(H, W)``, -1 for none; of a closed surface."""
-    seen = np.empty((camera.height, camera.width), np.int32)
+    seen = np.empty((camera.height, camera.width), np.int64)
     nearest = np.empty((camera.height, camera.width))
     visibility.paint(screen, triangles, False, not camera.orthographic, seen, nearest)
     return seen

@@ -31,11 +31,11 @@ class Fragments:
 def fragments(vertices: Floats, triangles: Ints, camera: Camera, both: bool = True) -> Fragments:
     """Of the triangles that face the camera, or of ``both`` sides."""
     screen = camera.project(vertices)
-    seen = np.empty((camera.height, camera.width), np.int32)
+    seen = np.empty((camera.height, camera.width), np.int64)
     nearest = np.empty((camera.height, camera.width))
     visibility.paint(screen, triangles, both, not camera.orthographic, seen, nearest)
     rows, columns = np.nonzero(seen >= 0)
-    triangle = seen[rows, columns].astype(np.int64)
+    triangle = seen[rows, columns]
     corner = screen[triangles[triangle]]
     x, y = columns + 0.5, rows + 0.5
     a, b, c = (corner[:, k] for k in range(3))
@@ -66,9 +66,9 @@ def draw(
         camera.translation, camera.orthographic,
     )  # fmt: skip
     hit = fragments(vertices, triangles, fine)
-    centres = np.column_stack([hit.columns, hit.rows]) + 0.5
+    centres = np.column_stack([hit.columns, hit.rows]).astype(np.float64) + 0.5
     normal = triangle_normals(vertices, triangles)[0][hit.triangle]
-    facing = -(normal * fine.rays(centres)).sum(axis=1)
+    facing: Floats = -np.einsum("ij,ij->i", normal, fine.rays(centres))
     normal = np.where(facing[:, None] < 0, -normal, normal)
     if colours is None:
         colour = np.repeat((0.2 + 0.6 * np.abs(facing))[:, None], 3, axis=1)

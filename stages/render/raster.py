@@ -65,7 +65,7 @@ def rasterize(vertices: Floats, triangles: Ints, camera: View, width: int, heigh
     size = np.array([width, height])
     scale = float((0.92 * size / np.maximum(high - low, 1e-300)).min())
     screen = (placed[:, :2] - 0.5 * (low + high)) * scale * [1, -1] + 0.5 * size
-    seen, nearest = np.empty((height, width), np.int32), np.empty((height, width))
+    seen, nearest = np.empty((height, width), np.int64), np.empty((height, width))
     visibility.paint(
         np.column_stack([screen, placed[:, 2]]), triangles, False, False, seen, nearest
     )

@@ -6,7 +6,7 @@ They release the interpreter's lock, so that several views are drawn at once by 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -16,10 +16,12 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 def compiled(function: Kernel) -> Kernel:
     """``function`` as machine code, kept on disk where there is a place for it."""
+    made: Any
     try:
-        return numba.njit(nogil=True, cache=True)(function)  # type: ignore[no-any-return]
+        made = numba.njit(nogil=True, cache=True)(function)
     except RuntimeError:  # neither the package's folder nor the user's cache can be written
-        return numba.njit(nogil=True)(function)  # type: ignore[no-any-return]
+        made = numba.njit(nogil=True)(function)
+    return cast(Kernel, made)
 
 
 @compiled
@@ -165,7 +167,7 @@ def silhouette(
                 gradient[b, across] += force * part
                 gradient[a, along] -= force * (1 - part) * slope
                 gradient[b, along] -= force * part * slope
-    return total / (height * width)
+    return float(total / (height * width))
 
 
 @compiled

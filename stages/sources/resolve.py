@@ -60,8 +60,8 @@ class Identity:
         if self.kind == "field":
             return FieldSource(self.name, path=self.path, allow_code=self.allow_code)
         assert self.path is not None
-        kinds = {"mesh": MeshSource, "points": PointSource, "views": ViewSource}
-        source = kinds[self.kind](self.path)
+        kinds: dict[str, Any] = {"mesh": MeshSource, "points": PointSource, "views": ViewSource}
+        source: MeshSource | PointSource | ViewSource = kinds[self.kind](self.path)
         if stored is not None:
             source.restore(stored)
         return source

@@ -46,7 +46,9 @@ def of_folder(folder: Path) -> SixViews:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give one with {NAMES[0]}.png and so on")
-    colours, masks, normals = [], [], []
+    colours: list[Any] = []
+    masks: list[Any] = []
+    normals: list[Any] = []
     for name in NAMES:
         image = image_file.read(folder / f"{name}.png")
         mask, map_ = folder / f"{name}_mask.png", folder / f"{name}_normal.png"

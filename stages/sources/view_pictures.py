@@ -115,7 +115,7 @@ def _normals(found: ViewSet, shot: Shot, camera: Camera) -> NDArray[np.int16]:
     good = (length > LENGTHS[0]) & (length < LENGTHS[1])
     normal = np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0)
     normal = normal @ _axes(found.normal_space, camera).astype(np.float32)
-    return np.rint(UNIT * normal).astype(np.int16)
+    return np.asarray(np.rint(UNIT * normal), dtype=np.int16)
 
 
 def _axes(space: str, camera: Camera) -> Floats:
