@@ -7,14 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from ..artifacts import atomic
 from ..artifacts.run_folder import RunFolder
+from ..losses.images import visible
 from ..render import image_file, raster
+from ..sources.hull import COVERED
+from ..sources.images import ViewSource
 from ..sources.mesh import MeshSource
 from ..sources.points import PointSource
 from ..sources.resolve import up_axis
 from ..sources.true_surface import true_surface
+from ..sources.view_pictures import colours
 from ..surface.geometry import fan_triangles
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats, Ints
@@ -29,6 +34,7 @@ FOUND, WRONG, VOXEL, BAND = (
     np.array(rgb)
     for rgb in ((0.56, 0.72, 0.88), (0.86, 0.24, 0.20), (0.98, 0.75, 0.42), (0.90, 0.92, 0.95))
 )
+OUTLINE = np.array([0.10, 0.62, 0.32])
 DOTS = 30_000
 """Points of a cloud that are drawn, and samples of a field."""
 
@@ -41,17 +47,44 @@ def write(folder: RunFolder, source: Source) -> Path:
 
 
 def preview(source: Source, classified: Arrays, size: int = 480) -> Floats:
-    """Three panels ``(H, 3 H, 3)``: the input, with what is wrong in it in red; its interior
-    voxels; and the middle slice of the grid, interior voxels, their band and the surface."""
+    """Three panels ``(H, 3 H, 3)``: the input, with what is wrong in it in red, of views four
+    pictures with the outline of the surface; its interior voxels; and the middle slice of the
+    grid, interior voxels, their band and the surface."""
     up = up_axis(None if source.path is None else str(source.path))
     view = raster.view(up, AZIMUTH[up])
     frame = ModelFrame.of(classified)
     panels = [
-        raster.shaded(*_input(source, frame), view, size, size),
+        _photographs(source, size)
+        if isinstance(source, ViewSource)
+        else raster.shaded(*_input(source, frame), view, size, size),
         raster.shaded(*_voxels(classified["interior"]), view, size, size),
         _slice(source, frame, classified, "xyz".index(up), size),
     ]
     return np.concatenate(panels, axis=1)
+
+
+def _photographs(source: ViewSource, size: int) -> Floats:
+    """Four of the pictures, where the surface covers them outlined: red where the mask does not."""
+    half = size // 2
+    panel = np.ones((size, size, 3))
+    count = len(source.names)
+    for place, view in enumerate(np.unique(np.arange(4) * count // 4)):
+        camera, mask = source.views.cameras[view], source.views.masks[view] >= COVERED
+        seen = visible(camera, camera.project(source.vertices), source.triangles) >= 0
+        picture = colours(source.found.shots[view]).astype(np.float64)
+        height, width = mask.shape
+        step = max(height, width) / (half - 4)
+        rows, columns = (
+            np.minimum((np.arange(int(side / step)) * step).astype(int), side - 1)
+            for side in (height, width)
+        )
+        near = seen ^ binary_erosion(seen, iterations=max(1, round(1.5 * step)))
+        off = binary_dilation(near & ~mask, iterations=max(1, round(step)))
+        picture[near] = OUTLINE
+        picture[off & near] = WRONG
+        top, left = (place // 2) * half + 2, (place % 2) * half + 2
+        panel[top : top + len(rows), left : left + len(columns)] = picture[np.ix_(rows, columns)]
+    return panel
 
 
 def _input(source: Source, frame: ModelFrame) -> tuple[Floats, Ints, Ints | None, Floats]:

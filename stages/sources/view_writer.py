@@ -16,6 +16,7 @@ from ..render import drawing, image_file
 from ..render.cameras import Camera, looking
 from ..surface.polygons import Floats
 from .coloured import load
+from .resolve import up_axis
 
 FILLED = 0.95
 """Of half a picture, taken by the sphere around the mesh."""
@@ -57,7 +58,7 @@ def write_views(
     orthographic = (projection or ("orthographic" if count == AXES else "perspective")) != (
         "perspective"
     )
-    cameras = around(middle, radius, count, size, orthographic, seed)
+    cameras = around(middle, radius, count, size, orthographic, seed, up_axis(str(mesh)))
     target.unlink(missing_ok=True)
     for name in ("images", "normals"):
         atomic.make_folder(folder / name)
@@ -86,9 +87,16 @@ def write_views(
 
 
 def around(
-    middle: Floats, radius: float, count: int, size: int, orthographic: bool, seed: int
+    middle: Floats,
+    radius: float,
+    count: int,
+    size: int,
+    orthographic: bool,
+    seed: int,
+    up: str = "z",
 ) -> list[Camera]:
-    """Cameras that look at a sphere from the six axes, or from ``count`` random sides."""
+    """Cameras that look at a sphere from the six axes, or from ``count`` random sides; ``up`` is
+    the axis that points up in the pictures."""
     if count == AXES:
         sides = np.concatenate([np.eye(3), -np.eye(3)])
     else:
@@ -98,9 +106,9 @@ def around(
     if not orthographic:
         focal *= radius * np.sqrt(FAR**2 - 1)
     matrix = np.array([[focal, 0, 0.5 * size], [0, focal, 0.5 * size], [0, 0, 1.0]])
-    up = np.array([0.0, 0.0, 1.0])
+    upward = np.eye(3)["xyz".index(up)]
     return [
-        looking(middle + FAR * radius * side, middle, up, matrix, size, orthographic)
+        looking(middle + FAR * radius * side, middle, upward, matrix, size, orthographic)
         for side in sides
     ]
 
