@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-views table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-views table-photos bench-images table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -96,6 +96,14 @@ COUNT ?= 300
 table-views: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/views.py --count $(COUNT) $(if $(MASKS),--masks-only) \
 		$(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Views as found: how well masks and pictures are met.
+table-photos: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/photos.py $(VIEWS)
+
+# A step of the image losses, against an independent renderer.
+bench-images: $(VENV)/benched-with
+	$(BIN)/python tests/benchmarks/rasterizing.py
 
 # Shapes as found, compared with what is made of them.
 table-found: $(VENV)/installed

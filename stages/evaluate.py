@@ -15,7 +15,7 @@ from .contract import Context, Outcome, Range, Stage
 from .memory import peak
 
 if TYPE_CHECKING:
-    from .surface.polygons import PolygonMesh
+    from .surface.polygons import Floats, Ints, PolygonMesh
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,7 @@ def run(context: Context) -> Outcome:
         ),
         "reference_curvature": _reference_curvature(source, reference, radius, threads),
         "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
+        "mask_overlap": _mask_overlap(context, vertices, triangles),
         "gates": {
             "closed": facts.closed,
             "vertices_manifold": facts.pinched_vertices == 0,
@@ -150,6 +151,20 @@ def run(context: Context) -> Outcome:
         },
         metrics=metrics,
     )
+
+
+def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[str, Any] | None:
+    """Of a run on views: intersection over union of their masks and the surface as they see it."""
+    from .sources.images import ViewSource, overlaps
+
+    recorded = context.folder.manifest("classify")
+    if recorded is None or recorded["inputs"][0]["kind"] != "views":
+        return None
+    source = context.source()
+    assert isinstance(source, ViewSource)
+    source.threads = context.threads
+    found = overlaps(source.views, vertices, triangles)
+    return {"mean": float(found.mean()), "worst": float(found.min())}
 
 
 def _surface(context: Context, of: str) -> PolygonMesh:
@@ -260,7 +275,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="evaluate",
-    version=2,
+    version=3,
     params=Params,
     run=run,
     parents=lambda params: (

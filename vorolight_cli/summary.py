@@ -78,6 +78,10 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
         rows.append((name, _number(bent.get(key)), shown))
     if metrics["sdf_loss"] is not None:
         rows.append(("mean |F|", _number(metrics["sdf_loss"]), "0"))
+    if metrics["mask_overlap"] is not None:
+        overlap = metrics["mask_overlap"]
+        rows.append(("overlap with masks, mean", _number(overlap["mean"]), "1"))
+        rows.append(("overlap with masks, worst", _number(overlap["worst"]), "1"))
     rows += [
         ("faces", str(topology["faces"]), ""),
         ("Euler number", str(topology["euler_number"]), ""),

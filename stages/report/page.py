@@ -15,10 +15,11 @@ from ..errors import ArtifactError
 from ..render import image_file
 from .pictures import PICTURES
 
-STAGES = ("classify", "init", "sphere-train", "volume", "fabricate")
+STAGES = ("classify", "init", "sphere-train", "volume", "shade", "fabricate")
 CAPTIONS = {
     "surfaces": "Initial Voronoi surface, trained polygons, and the surface as written: the "
     "interface of the real Voronoi diagram.",
+    "appearance": "The appearance that was learned, from new sides.",
     "cutaway": "The volumetric mesh cut open; inner cells in orange.",
     "lamp": "The object as it will be printed, lit and by day. The light casts no shadows here.",
 }

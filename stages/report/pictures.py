@@ -6,7 +6,7 @@ import numpy as np
 
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
-from ..render import raster
+from ..render import image_file, raster
 from ..sources.resolve import up_axis
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, PolygonMesh
@@ -93,4 +93,15 @@ def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
     return np.concatenate([night, day], axis=1)
 
 
-PICTURES = {"surfaces": surfaces, "cutaway": cutaway, "lamp": lamp}
+def appearance(folder: RunFolder) -> Floats | None:
+    """Four pictures of the orbit that stage shade drew, if it did."""
+    stored = folder.manifest("shade")
+    outputs = stored["outputs"] if stored else []
+    names = [entry["path"] for entry in outputs if entry["role"].startswith("orbit-")]
+    if not names:
+        return None
+    shown = [names[k * len(names) // 4] for k in range(min(4, len(names)))]
+    return np.concatenate([image_file.read(folder.path / name) / 255 for name in shown], axis=1)
+
+
+PICTURES = {"surfaces": surfaces, "appearance": appearance, "cutaway": cutaway, "lamp": lamp}
