@@ -12,7 +12,7 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Short, Stage
@@ -45,7 +45,6 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .sources import voxels
-    from .sources.images import ViewSource
     from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
     from .sources.thin import thin_parts
@@ -56,9 +55,8 @@ def run(context: Context) -> Outcome:
         source.given_noise, source.threads = params.noise, context.threads
     elif params.noise is not None:
         raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
-    if isinstance(source, ViewSource):
-        source.votes, source.threads = params.mask_votes, context.threads
-        _fit(source, context)
+    if source.kind == "views":
+        _fit(cast("ViewSource", source), context)
     elif params.mask_votes:
         raise UsageError(f"--mask-votes: the input is a {source.kind}; only views have masks")
     if isinstance(source, MeshSource):
@@ -110,6 +108,7 @@ def _fit(source: ViewSource, context: Context) -> None:
     """Make the surface that stands for views, with a progress of its own."""
     from .sources.view_fit import rounds
 
+    source.votes, source.threads = context.params.mask_votes, context.threads
     context.progress.start("fit to the views", rounds())
     done = 0
 
@@ -124,15 +123,14 @@ def _fit(source: ViewSource, context: Context) -> None:
 
 
 def _memory(context: Context) -> float:
-    from .sources.images import ViewSource
     from .sources.points import PointSource
 
     source = context.source()
     voxels = peak(240.0, 240.0, 0.25, float(context.params.n_init) ** 3)
     if isinstance(source, PointSource):
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
-    if isinstance(source, ViewSource):
-        return voxels + 450.0 + 2e-5 * source.views.masks.size
+    if source.kind == "views":
+        return voxels + 450.0 + 2e-5 * cast("ViewSource", source).views.masks.size
     return voxels
 
 

@@ -155,11 +155,11 @@ def run(context: Context) -> Outcome:
 
 def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[str, Any] | None:
     """Of a run on views: intersection over union of their masks and the surface as they see it."""
-    from .sources.images import ViewSource, overlaps
-
     recorded = context.folder.manifest("classify")
     if recorded is None or recorded["inputs"][0]["kind"] != "views":
         return None
+    from .sources.images import ViewSource, overlaps
+
     source = context.source()
     assert isinstance(source, ViewSource)
     source.threads = context.threads

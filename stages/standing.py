@@ -83,9 +83,13 @@ def recorded_input(folder: RunFolder) -> Identity | None:
         except InputError:  # the module of a function is gone
             return Identity(entry["kind"], entry["name"], None, None, entry["sha256"])
     path = folder.path / entry["path"]
+    gone = Identity(entry["kind"], entry["name"], path, entry["bytes"], entry["sha256"])
     if not path.exists():
-        return Identity(entry["kind"], entry["name"], path, entry["bytes"], entry["sha256"])
-    return identify_path(entry["kind"], path)
+        return gone
+    try:
+        return identify_path(entry["kind"], path)
+    except InputError:  # a picture of a set of views is gone
+        return gone
 
 
 def input_of(session: Session) -> Identity | None:

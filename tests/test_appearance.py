@@ -112,10 +112,14 @@ def run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
     return folder / "seen.vorolight"
 
 
-def test_views_run_to_colours_on_the_surface(run: Path) -> None:
+def test_views_run_to_colours_on_the_surface(run: Path, cli: Cli) -> None:
     classified = json.loads((run / "classify.json").read_text())
     assert classified["inputs"][0]["kind"] == "views"
     assert classified["metrics"]["input"]["mask_overlap_worst"] > 0.97
+    done = cli("evaluate", "--run", run, "--samples", 2000, cwd=run.parent)
+    assert "overlap with masks, worst" in done.stdout
+    evaluated = json.loads((run / "evaluate-sphere-train.json").read_text())["metrics"]
+    assert evaluated["mask_overlap"]["worst"] > 0.95
     trained = json.loads((run / "sphere-train.json").read_text())["metrics"]
     assert trained["certificate"]["holds"]
     assert trained["topology"]["euler_number"] == 2
@@ -148,6 +152,18 @@ def test_the_orbit_is_drawn(run: Path) -> None:
     assert np.abs(first - second).max() > 0.2
     with Image.open(run / "shade.gif") as animation:
         assert animation.n_frames == 4  # type: ignore[attr-defined]
+
+
+def test_a_finished_run_outlives_its_pictures(run: Path, cli: Cli, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(run.parent, tmp_path / "all")
+    (tmp_path / "all" / "seen" / "images" / "003.png").unlink()
+    done = cli("report", "--run", "seen.vorolight", cwd=tmp_path / "all")
+    assert done.returncode == 0, done.stderr
+    done = cli("shade", "--run", "seen.vorolight", "--width", 16, cwd=tmp_path / "all")
+    assert done.returncode == 3
+    assert "003.png" in done.stderr
 
 
 def test_only_views_have_an_appearance_and_masks(cli: Cli, heart_run: Path) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..artifacts.randomness import generator
 from ..errors import NumericalFailure
-from ..render import visibility
 from ..surface.polygons import Floats, Ints, PolygonMesh
 
 if TYPE_CHECKING:
@@ -73,6 +72,8 @@ class Silhouettes:
     def _one(
         self, number: int, vertices: Floats, triangles: Ints, ends: Ints, sides: Ints
     ) -> tuple[float, Floats, Floats, float]:
+        from ..render import visibility  # loads numba: 90 MB that only pictures need
+
         camera = self.views.cameras[number]
         screen = camera.project(vertices)
         seen = visible(camera, screen, triangles)
@@ -113,6 +114,8 @@ def edge_pairs(triangles: Ints) -> tuple[Ints, Ints]:
 
 def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
     """The triangle that each pixel centre sees ``(H, W)``, -1 for none; of a closed surface."""
+    from ..render import visibility
+
     seen = np.empty((camera.height, camera.width), np.int64)
     nearest = np.empty((camera.height, camera.width))
     visibility.paint(screen, triangles, False, not camera.orthographic, seen, nearest)

@@ -7,7 +7,7 @@ paper's division by h0^2 is in that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from .images import ImageLoss
 
 if TYPE_CHECKING:
     from ..contract import Context
+    from ..sources.images import ViewSource
     from ..sources.true_surface import TrueSurface
 
 ON_SURFACE = 1e-6
@@ -58,12 +59,11 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | Im
     Raises UsageError when the input does not have it.
     """
     from ..sources.fields import FieldSource
-    from ..sources.images import ViewSource
     from ..sources.points import PointSource
 
     source, params = context.source(), context.params
-    if isinstance(source, ViewSource) and kind in ("images", "paper"):
-        views = source.views.in_frame(frame.origin, frame.spacing)
+    if source.kind == "views" and kind in ("images", "paper"):
+        views = cast("ViewSource", source).views.in_frame(frame.origin, frame.spacing)
         return ImageLoss(views, context.seed, context.threads)
     if kind == "images":
         raise UsageError(f"--shape-loss images: the input is a {source.kind}; only views have them")

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ..surface.geometry import triangle_normals
 from ..surface.polygons import Floats, Ints
-from . import visibility
 from .cameras import Camera
 
 Colours = Callable[[Ints, Floats], Floats]
@@ -30,6 +29,8 @@ class Fragments:
 
 def fragments(vertices: Floats, triangles: Ints, camera: Camera, both: bool = True) -> Fragments:
     """Of the triangles that face the camera, or of ``both`` sides."""
+    from . import visibility
+
     screen = camera.project(vertices)
     seen = np.empty((camera.height, camera.width), np.int64)
     nearest = np.empty((camera.height, camera.width))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, Ints
-from . import visibility
 
 SUPERSAMPLING = 2
 BACKGROUND = np.array([1.0, 1.0, 1.0])
@@ -60,6 +59,8 @@ def rasterize(vertices: Floats, triangles: Ints, camera: View, width: int, heigh
 
     Triangles turned away are skipped: the surfaces here are closed and face outward.
     """
+    from . import visibility
+
     placed = vertices @ camera.frame().T
     low, high = placed[:, :2].min(axis=0), placed[:, :2].max(axis=0)
     size = np.array([width, height])

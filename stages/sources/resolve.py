@@ -11,6 +11,9 @@ from ..artifacts import fingerprint
 from ..errors import InputError
 
 if TYPE_CHECKING:
+    from .images import ViewSource
+    from .mesh import MeshSource
+    from .points import PointSource
     from .protocol import Source
 
 
@@ -53,15 +56,19 @@ class Identity:
         Raises InputError when the file cannot be used.
         """
         from .fields import FieldSource
-        from .images import ViewSource
         from .mesh import MeshSource
         from .points import PointSource
 
         if self.kind == "field":
             return FieldSource(self.name, path=self.path, allow_code=self.allow_code)
         assert self.path is not None
-        kinds: dict[str, Any] = {"mesh": MeshSource, "points": PointSource, "views": ViewSource}
-        source: MeshSource | PointSource | ViewSource = kinds[self.kind](self.path)
+        source: MeshSource | PointSource | ViewSource
+        if self.kind == "views":
+            from .images import ViewSource
+
+            source = ViewSource(self.path)
+        else:
+            source = MeshSource(self.path) if self.kind == "mesh" else PointSource(self.path)
         if stored is not None:
             source.restore(stored)
         return source
