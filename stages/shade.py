@@ -16,6 +16,8 @@ from .errors import UsageError
 from .memory import peak
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     import torch
     from numpy.typing import NDArray
@@ -32,6 +34,8 @@ ELEVATION = 15.0
 """Of the cameras of an orbit, in degrees."""
 SAMPLES = 2
 """Rays a pixel of a picture, along each side."""
+WORTH_SAYING = 0.01
+"""Share of the surface."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,21 @@ class Geometry:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         rays = camera.rays(np.column_stack([hit.columns, hit.rows]).astype(np.float64) + 0.5)
         return hit.rows, hit.columns, point, normal, rays
+
+    def unseen(self, cameras: Sequence[Camera]) -> float:
+        """Share of the surface, by area, that none of the ``cameras`` sees."""
+        import numpy as np
+
+        from .losses.images import visible
+        from .surface.geometry import triangle_areas
+
+        found = np.zeros(len(self.vertices), dtype=bool)
+        for camera in cameras:
+            seen = visible(camera, camera.project(self.vertices), self.triangles)
+            found[self.triangles[np.unique(seen[seen >= 0])]] = True
+        # A triangle smaller than a pixel is seen where its neighbour is.
+        area = triangle_areas(self.vertices, self.triangles)
+        return float(area[~found[self.triangles].any(axis=1)].sum() / area.sum())
 
 
 def run(context: Context) -> Outcome:
@@ -138,6 +157,12 @@ def run(context: Context) -> Outcome:
     files = baked(mesh, geometry, shader)
     if params.render == "orbit":
         files |= orbit(source, geometry, shader, params.frames, params.size)
+    unseen = geometry.unseen([source.views.cameras[view] for view in trained])
+    warnings = []
+    if unseen > WORTH_SAYING:
+        warnings.append(
+            f"{100 * unseen:.0f} % of the surface is in no picture; its colours there mean nothing"
+        )
     worst = sorted(scores.items(), key=lambda item: item[1])[:3]
     return Outcome(
         arrays={
@@ -155,9 +180,10 @@ def run(context: Context) -> Outcome:
             "held_out_seen": float(np.mean([pixels.share(int(view)) for view in held]))
             if len(held)
             else None,
+            "unseen_share": unseen,
             "final_loss": float(history[-1, 0]) if len(history) else None,
         },
-        warnings=[],
+        warnings=warnings,
     )
 
 

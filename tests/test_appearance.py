@@ -15,7 +15,7 @@ from PIL import Image
 from vorolight.stages.artifacts import hdf5
 from vorolight.stages.render import drawing, image_file
 from vorolight.stages.render.shader import Shader, coded, layers, shade
-from vorolight.stages.shade import split
+from vorolight.stages.shade import Geometry, split
 from vorolight.stages.sources import coloured, six_views
 from vorolight.stages.sources.view_writer import around
 
@@ -51,6 +51,14 @@ def test_positions_are_coded_and_colours_depend_on_all_three() -> None:
     shader = Shader({k: v.numpy() for k, v in weights.items()}, np.array([1.0, 0, 0]), 2.0)
     points, normal, ray = (part.numpy().astype(np.float64) for part in at)
     np.testing.assert_allclose(shader(2 * points + [1, 0, 0], normal, ray), first, atol=1e-6)
+
+
+def test_what_no_camera_sees_is_known() -> None:
+    vertices, triangles = sphere_mesh(1.0, 4)
+    geometry = Geometry(vertices, triangles, vertices)
+    (first, *_) = cameras = around(np.zeros(3), 1.2, 6, 128, True, 0)
+    assert geometry.unseen([first]) == pytest.approx(0.5, abs=0.05)
+    assert geometry.unseen(cameras) == 0
 
 
 def test_views_are_held_out_evenly() -> None:
@@ -128,6 +136,7 @@ def test_views_run_to_colours_on_the_surface(run: Path, cli: Cli) -> None:
     assert shaded["held_out_psnr"] > 25
     assert len(shaded["held_out_views"]) == 2
     assert shaded["held_out_seen"] > 0.95
+    assert shaded["unseen_share"] == 0
     mesh = trimesh.load(run / "shade.ply", process=False)
     assert isinstance(mesh, trimesh.Trimesh)
     place = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
