@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.polygons import Floats, Ints
+from ..surface.polygons import Floats
 from .cameras import Camera
 
 UNIT = 32767
@@ -45,11 +45,6 @@ class Views:
             normals = np.rint(UNIT * summed).astype(np.int16)
         masks = np.rint(_blocks(self.masks[..., None], factor)[..., 0]).astype(np.uint8)
         return Views(cameras, masks, normals)
-
-    def chosen(self, index: Ints) -> Views:
-        """Some of them."""
-        normals = None if self.normals is None else self.normals[index]
-        return Views(tuple(self.cameras[i] for i in index), self.masks[index], normals)
 
 
 def _blocks(values: NDArray[np.generic], factor: int) -> NDArray[np.float32]:

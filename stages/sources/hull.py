@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -118,7 +119,7 @@ class VisualHull:
     def __init__(self, views: Views, names: list[str], votes: int, threads: int) -> None:
         self.views, self.names, self.votes, self.threads = views, names, votes, threads
         factor = max(1, round(max(views.masks.shape[1:]) / PIXELS))
-        small = views.shrunk(factor)
+        small = replace(views, normals=None).shrunk(factor)
         self.distances = signed_distances(small, threads)
         self.projection, self.focal = projections(small)
         inside = self.distances > 0
