@@ -124,7 +124,7 @@ def test_the_loss_of_polygons_is_least_for_the_shape_itself() -> None:
         value = loss(vertices, face_frames(vertices, connectivity), mesh, 0)
         (slope,) = torch.autograd.grad(value, vertices)
         values[radius] = value.item()
-        outward = float((slope * vertices).sum())
+        outward = float((slope * vertices.detach()).sum())
         assert radius == 1.0 or (outward > 0) == (radius > 1)
     assert values[1.0] < min(values[0.9], values[1.1])
 
