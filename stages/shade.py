@@ -215,7 +215,7 @@ class Pixels:
     def of(self, view: int) -> tuple[Floats, Floats, Floats, NDArray[np.float32]]:
         """Points, normals, rays and colours ``(N, 3)`` of the pixels that the mask and the surface
         cover."""
-        from .sources.hull import COVERED
+        from .render.views import COVERED
         from .sources.view_pictures import colours
 
         if view in self.kept:
@@ -232,7 +232,7 @@ class Pixels:
 
     def share(self, view: int) -> float:
         """Of the pixels of a mask, those that the surface covers."""
-        from .sources.hull import COVERED
+        from .render.views import COVERED
 
         return len(self.of(view)[0]) / int((self.source.views.masks[view] >= COVERED).sum())
 

@@ -276,6 +276,14 @@ def spoil_sizes(folder: Path) -> None:
     edit(folder, change)
 
 
+def spoil_mask(folder: Path) -> None:
+    mask = np.zeros((96, 96))
+    mask[30:60, 30:60] = 1
+    (folder / "images" / "003_mask.png").write_bytes(image_file.png(mask))
+    file = folder / "images" / "003.png"
+    Image.open(file).convert("RGB").resize((48, 48)).save(file)
+
+
 def spoil_camera(folder: Path) -> None:
     edit(folder, lambda c: c["frames"][3]["transform_matrix"][0].__setitem__(0, 2.5))
 
@@ -331,6 +339,7 @@ def spoil_normal(folder: Path) -> None:
         (spoil_damaged, "003.png: not a readable picture"),
         (spoil_size, "003.png: is 48 x 48 pixels, its camera is for 96 x 96"),
         (spoil_sizes, "000.png is 96 x 96 pixels, 003.png is 48 x 48"),
+        (spoil_mask, "003_mask.png: is 96 x 96 pixels, 003.png is not"),
         (spoil_camera, "the camera of 003.png is not a rigid motion"),
         (spoil_mirror, "the camera of 003.png is not a rigid motion"),
         (spoil_empty, "003.png: the mask is empty"),

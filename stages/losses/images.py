@@ -27,8 +27,7 @@ MOST_VIEWS = 66
 PIXELS = 256
 """Along a side of the pictures in which the loss is taken; larger ones are shrunk to about this."""
 MASK, NORMAL = 10.0, 1.0
-"""Weights of the two parts in the shape loss: a surface a tenth of a voxel off costs about as much
-as by its mean squared distance."""
+"""Weights of the two parts in the shape loss."""
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,19 @@ def read(path: Path) -> NDArray[np.uint8]:
         raise InputError(f"{path}: is too large a picture; scale it down") from error
 
 
+def size(path: Path) -> tuple[int, int]:
+    """Width and height of the picture at ``path``, by its header. Raises InputError."""
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.is_file():
+        raise InputError(f"{path}: this picture is missing; put it back, or take its view out")
+    try:
+        with Image.open(path) as opened:
+            return opened.size
+    except (OSError, ValueError, SyntaxError, UnidentifiedImageError) as error:
+        raise InputError(f"{path}: not a readable picture") from error
+
+
 def png(image: NDArray[np.float64]) -> bytes:
     """An 8-bit PNG of ``image (H, W)``, ``(H, W, 3)`` or ``(H, W, 4)``, values from 0 to 1."""
     from PIL import Image

@@ -12,6 +12,8 @@ from .cameras import Camera
 
 UNIT = 32767
 """Length of a stored unit normal."""
+COVERED = 128
+"""Of 255, from which a pixel of a mask belongs to the object."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ..artifacts import atomic
 from ..artifacts.run_folder import RunFolder
 from ..losses.images import visible
 from ..render import image_file, raster
-from ..sources.hull import COVERED
+from ..render.views import COVERED
 from ..sources.images import ViewSource
 from ..sources.mesh import MeshSource
 from ..sources.points import PointSource

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..render.views import Views
+from ..render.views import COVERED, Views
 from ..render.visibility import compiled
 from ..surface.polygons import Floats, Ints
 from .node_grid import NodeGrid
 
-COVERED = 128
-"""Of 255, from which a pixel belongs to the object."""
 PIXELS = 320
 """Silhouettes are taken at a size of about this for the hull."""
 MARGIN = 0.02

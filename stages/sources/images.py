@@ -13,11 +13,11 @@ from ..artifacts.randomness import generator
 from ..errors import InputError
 from ..losses.images import visible
 from ..render.cameras import Camera
-from ..render.views import Views
+from ..render.views import COVERED, Views
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import topology
 from . import view_files, view_pictures
-from .hull import COVERED, VisualHull, signed_distances
+from .hull import VisualHull, signed_distances
 from .mesh import TriangleSource
 from .view_fit import fit
 

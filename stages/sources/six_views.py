@@ -16,8 +16,9 @@ from ..artifacts import atomic
 from ..errors import BackendMissing, InputError, UsageError
 from ..render import image_file
 from ..render.cameras import Camera, looking
+from ..render.views import COVERED
 from .code import imported
-from .view_pictures import HALF, LENGTHS
+from .view_pictures import LENGTHS
 from .view_writer import write_transforms
 
 NAMES = ("front", "right", "back", "left", "top", "bottom")
@@ -149,6 +150,6 @@ def _decoded(image: NDArray[np.uint8], path: Path) -> NDArray[np.float64]:
     length = np.linalg.norm(coded, axis=2)
     good = (length > LENGTHS[0]) & (length < LENGTHS[1])
     if image.shape[2] == 4:
-        good &= image[..., 3] >= HALF
+        good &= image[..., 3] >= COVERED
     normal = np.stack([coded[..., 0], coded[..., 2], -coded[..., 1]], axis=2)
     return np.asarray(np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0.0))

@@ -2,8 +2,8 @@
 
 The squares of two kinds of residuals are summed: edges of seen triangles times the normals that
 the views show there (an integral of squared slopes), and distances of the outlines, as drawn, to
-those of the masks. Gradient steps on the losses of ``losses.images`` lead to the same surface, but
-not within a hundred times as many steps where it is far from the first.
+those of the masks. Gradient steps on the losses of ``losses.images`` are slow where the surface is
+far from the first.
 """
 
 from __future__ import annotations

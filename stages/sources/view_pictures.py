@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..render import image_file
 from ..render.cameras import Camera
-from ..render.views import UNIT, Views
+from ..render.views import COVERED, UNIT, Views
 from ..surface.polygons import Floats
 from .view_files import SPACES, Shot, ViewSet, sized
 
 FEWEST = 16
 """Pixels of a mask that are an object, and of what is around it."""
-HALF = 128
-"""Of 255, from which a pixel is covered."""
 LENGTHS = (0.7, 1.3)
 """Between them a pixel of a normal map holds a normal."""
 RIM = 1.5
@@ -80,11 +78,13 @@ def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArra
         mask = image if image.ndim == 2 else image[..., 3 if image.shape[2] == 4 else 0]
         if image.ndim == 3 and image.shape[2] == 4 and mask.min() == 255:
             mask = image[..., 0]  # opaque: the mask is what is drawn
-        if not shot.image.is_file():
-            raise InputError(f"{shot.image}: this picture is missing; put it back")
     height, width = mask.shape
+    if image_file.size(shot.image) != (width, height):
+        raise InputError(
+            f"{shot.mask}: is {width} x {height} pixels, {shot.image.name} is not; scale one"
+        )
     camera = sized(shot, width, height)
-    covered = int((mask >= HALF).sum())
+    covered = int((mask >= COVERED).sum())
     place = shot.mask or shot.image
     if covered < FEWEST:
         raise InputError(f"{place}: the mask is empty; draw it, or take its view out")
@@ -100,7 +100,7 @@ def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArra
                 f"{shot.normal}: is {normal.shape[1]} x {normal.shape[0]} pixels, the mask of "
                 f"{shot.name} {width} x {height}; scale one of them"
             )
-        normal[mask < HALF] = 0
+        normal[mask < COVERED] = 0
     return camera, np.ascontiguousarray(mask), normal
 
 
@@ -174,7 +174,7 @@ def _rim(mask: NDArray[np.uint8]) -> tuple[Any, Any, Floats]:
     and down. Where the object leaves the picture there is no outline."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-    inside = mask >= HALF
+    inside = mask >= COVERED
     near = distance_transform_edt(np.pad(inside, 1, mode="edge"))[1:-1, 1:-1]
     rows, columns = np.nonzero(inside & (near <= RIM))
     smooth = gaussian_filter(inside.astype(np.float64), 2.0, mode="nearest")
