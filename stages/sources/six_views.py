@@ -16,9 +16,8 @@ from ..artifacts import atomic
 from ..errors import BackendMissing, InputError, UsageError
 from ..render import image_file
 from ..render.cameras import Camera, looking
-from ..render.views import COVERED
 from .code import imported
-from .view_pictures import LENGTHS
+from .view_pictures import decoded
 from .view_writer import write_transforms
 
 NAMES = ("front", "right", "back", "left", "top", "bottom")
@@ -53,7 +52,7 @@ def of_folder(folder: Path) -> SixViews:
     for name in NAMES:
         image = image_file.read(folder / f"{name}.png")
         mask, map_ = folder / f"{name}_mask.png", folder / f"{name}_normal.png"
-        normal = _decoded(image_file.read(map_), map_) if map_.is_file() else None
+        normal = _decoded(map_) if map_.is_file() else None
         if image.ndim == 3 and image.shape[2] == 4:
             covered = image[..., 3]
         elif mask.is_file():
@@ -142,14 +141,7 @@ def write(views: SixViews, folder: Path, force: bool) -> Path:
     return target
 
 
-def _decoded(image: NDArray[np.uint8], path: Path) -> NDArray[np.float64]:
+def _decoded(path: Path) -> NDArray[np.float64]:
     """Unit normals in the object's axes, zero where there is none."""
-    if image.ndim != 3:
-        raise InputError(f"{path}: a normal map has three channels, this has one")
-    coded = image[..., :3] / 127.5 - 1
-    length = np.linalg.norm(coded, axis=2)
-    good = (length > LENGTHS[0]) & (length < LENGTHS[1])
-    if image.shape[2] == 4:
-        good &= image[..., 3] >= COVERED
-    normal = np.stack([coded[..., 0], coded[..., 2], -coded[..., 1]], axis=2)
-    return np.asarray(np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0.0))
+    coded = decoded(path).astype(np.float64)
+    return np.stack([coded[..., 0], coded[..., 2], -coded[..., 1]], axis=2)

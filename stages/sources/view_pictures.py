@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -107,15 +108,23 @@ def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArra
 def _normals(found: ViewSet, shot: Shot, camera: Camera) -> NDArray[np.int16]:
     """In the object's axes, in units of 1 / UNIT."""
     assert shot.normal is not None
-    image = image_file.read(shot.normal)
+    normal = decoded(shot.normal) @ _axes(found.normal_space, camera).astype(np.float32)
+    return np.asarray(np.rint(UNIT * normal), dtype=np.int16)
+
+
+def decoded(path: Path) -> NDArray[np.float32]:
+    """The unit vectors ``(H, W, 3)`` of a normal map, zero where it has none. Raises InputError."""
+    image = image_file.read(path)
     if image.ndim != 3:
-        raise InputError(f"{shot.normal}: a normal map has three channels, this has one")
+        raise InputError(f"{path}: a normal map has three channels, this has one")
     normal = image[..., :3].astype(np.float32) * np.float32(2 / 255) - 1
     length = np.sqrt(np.einsum("hwk,hwk->hw", normal, normal))
     good = (length > LENGTHS[0]) & (length < LENGTHS[1])
-    normal = np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0)
-    normal = normal @ _axes(found.normal_space, camera).astype(np.float32)
-    return np.asarray(np.rint(UNIT * normal), dtype=np.int16)
+    if image.shape[2] == 4:
+        good &= image[..., 3] >= COVERED
+    return np.asarray(
+        np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0), np.float32
+    )
 
 
 def _axes(space: str, camera: Camera) -> Floats:
