@@ -19,7 +19,7 @@ from vorolight.stages.contract import options
 ROOT = Path(__file__).parent.parent
 FOLDERS = {"cli": "vorolight_cli", "stages": "stages", "schemas": "schemas"}
 # What every layer may use: the exceptions.
-LEAVES = {"errors"}
+LEAVES = {"errors", "compiled"}
 
 
 def modules() -> list[Path]:

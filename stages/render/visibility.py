@@ -5,23 +5,11 @@ They release the interpreter's lock, so that several views are drawn at once by 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import numba
 import numpy as np
 
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-
-
-def compiled(function: Kernel) -> Kernel:
-    """``function`` as machine code, kept on disk where there is a place for it."""
-    made: Any
-    try:
-        made = numba.njit(nogil=True, cache=True)(function)
-    except RuntimeError:  # neither the package's folder nor the user's cache can be written
-        made = numba.njit(nogil=True)(function)
-    return cast(Kernel, made)
+from ..compiled import compiled
 
 
 @compiled

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..compiled import compiled
 from ..errors import InputError
 from ..render.views import COVERED, Views
-from ..render.visibility import compiled
 from ..surface.polygons import Floats, Ints
 from .node_grid import NodeGrid
 

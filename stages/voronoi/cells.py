@@ -1,4 +1,4 @@
-"""Voronoi cells: centroids for the CVT, and closed polyhedra with shared faces."""
+"""Voronoi cells as closed polyhedra with shared faces."""
 
 from __future__ import annotations
 
@@ -11,43 +11,10 @@ from ..surface.edits import contract_short_edges, reduce_rings
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from .cleanup import settle
-from .delaunay import Tetrahedra, in_passing
+from .delaunay import Tetrahedra
 from .interface import rings_to_surface
-from .rings import Selection, voronoi_rings
+from .rings import voronoi_rings
 from .vertices import FLAT
-
-
-def _touching(count: int) -> Selection:
-    """Every face of the first ``count`` generators once, from the smaller index to the larger."""
-
-    def select(a: Ints, b: Ints) -> NDArray[np.int8]:
-        forward = (a < b).astype(np.int8)
-        return np.where(np.minimum(a, b) < count, 2 * forward - 1, 0).astype(np.int8)
-
-    return select
-
-
-def cell_centroids(generators: Floats, count: int) -> tuple[Floats, Floats]:
-    """Volumes ``(count,)`` and centroids ``(count, 3)`` of the cells of the first generators.
-
-    Each cell is the pyramids from its generator to its faces. Raises NumericalFailure when one of
-    these cells is unbounded.
-    """
-    diagram = in_passing(generators)
-    rings = voronoi_rings(generators, diagram, _touching(count))
-    area, _, centre = face_frames(rings_to_surface(generators, diagram, rings).mesh)
-    pair = rings.generators
-    distance = np.linalg.norm(generators[pair[:, 1]] - generators[pair[:, 0]], axis=1)
-    pyramid = area * distance / 6
-    volume, moment = np.zeros(count), np.zeros((count, 3))
-    for side in (0, 1):
-        mine = pair[:, side] < count
-        cell, weight = pair[mine, side], pyramid[mine]
-        volume += np.bincount(cell, weight, minlength=count)
-        middle = 0.75 * centre[mine] + 0.25 * generators[cell]
-        for axis in range(3):
-            moment[:, axis] += np.bincount(cell, weight * middle[:, axis], minlength=count)
-    return volume, moment / np.maximum(volume, np.finfo(float).tiny)[:, None]
 
 
 @dataclass(frozen=True)

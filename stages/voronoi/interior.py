@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .cells import cell_centroids
 from .delaunay import Floats, Ints, in_passing
 from .interface import VoronoiSurface
 from .rings import EDGES
@@ -31,6 +32,17 @@ class Guard:
     centres: Floats
     radii: Floats
 
+    @cached_property
+    def within(self) -> Floats:
+        """The inside generators."""
+        return self.generators[self.inside]
+
+    @cached_property
+    def tree(self) -> Any:
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.generators)
+
     @classmethod
     def of(cls, generators: Floats, inside: NDArray[np.bool_], surface: VoronoiSurface) -> Guard:
         """From a raw interface: each vertex with the sphere through its four generators."""
@@ -43,7 +55,7 @@ class Guard:
         """Points inside the surface and outside every vertex sphere; they change no face."""
         from scipy.spatial import cKDTree
 
-        nearest = cKDTree(self.generators).query(points, workers=threads)[1]
+        nearest = self.tree.query(points, workers=threads)[1]
         admitted = np.asarray(self.inside[nearest])
         candidates = np.flatnonzero(admitted)
         if len(candidates) == 0:
@@ -53,6 +65,20 @@ class Guard:
         struck = np.concatenate([np.asarray(row, np.int64) for row in hits])
         admitted[candidates[struck]] = False
         return admitted
+
+    def moved(self, points: Floats, step: Floats, threads: int) -> Floats:
+        """``points + step (M, 3)``; a step that would end in a vertex sphere or outside is halved,
+        and given up after a few halvings."""
+        moved = points + step
+        left = np.flatnonzero(~self.admits(moved, threads))
+        for halving in range(1, BACKTRACKS + 2):
+            if len(left) == 0:
+                break
+            moved[left] = points[left]
+            if halving <= BACKTRACKS:
+                moved[left] += 0.5**halving * step[left]
+                left = left[~self.admits(moved[left], threads)]
+        return moved
 
     def touching_outside(self, points: Floats) -> Ints:
         """Indices of ``points`` whose cell has a face with an outside cell in the full diagram."""
@@ -99,26 +125,3 @@ def sample(
         f"only {len(found)} of {count} inner generators fit without touching the surface; "
         "lower --inner or raise -n"
     )
-
-
-def lloyd_step(guard: Guard, points: Floats, threads: int) -> tuple[Floats, float]:
-    """Move ``points (M, 3)`` to the centroids of their cells; also the sum of squared distances.
-
-    A move that would enter a vertex sphere is halved, and given up after a few halvings. Outside
-    generators do not bound these cells and stay out of the diagram.
-    """
-    fixed = guard.generators[guard.inside]
-    _, centroid = cell_centroids(np.concatenate([points, fixed]), len(points))
-    step = centroid - points
-    moved = points + step
-    left = np.arange(len(points))
-    for _ in range(BACKTRACKS):
-        left = left[~guard.admits(moved[left], threads)]
-        if len(left) == 0:
-            break
-        step[left] *= 0.5
-        moved[left] = points[left] + step[left]
-    else:
-        left = left[~guard.admits(moved[left], threads)]
-        moved[left] = points[left]
-    return moved, float(((centroid - points) ** 2).sum())

@@ -1,0 +1,132 @@
+"""Centroidal Voronoi tessellations of the inner generators, the surface's ones fixed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..voronoi.delaunay import Floats
+from ..voronoi.grading import Grid
+from ..voronoi.interior import Guard
+from ..voronoi.moments import Moments, cell_moments
+
+MEMORY = 7
+"""Steps that the quasi-Newton direction remembers."""
+REACH = 0.5
+"""Longest step of a generator, in units of its cell's size."""
+OVERSHOT = 0.5
+"""Part of the first slope that the last one may rise to; beyond it the step is shortened."""
+SHORTENED = 3
+"""Times at the most."""
+STOP = 1e-3, 5
+"""Descent ends where this part of the energy is not won in so many steps."""
+
+
+def energy_gradient(points: Floats, moments: Moments) -> Floats:
+    """Of ``sum_i int_{V_i} rho |x - p_i|^2`` over all cells: ``2 m_i (p_i - c_i)``, ``(M, 3)``.
+
+    Cells of fixed generators change too, and their part cancels (Du, Faber and Gunzburger 1999).
+    """
+    return np.asarray(2 * moments.mass[:, None] * (points - moments.centroid))
+
+
+@dataclass
+class Descent:
+    """Limited-memory BFGS steps (Liu et al. 2009) from ``points (M, 3)``.
+
+    Without memory a step is Lloyd's, to the centroid: the inverse Hessian is started with
+    ``1 / (2 m_i)``. Only gradients are looked at, since energies would need the cells of the fixed
+    generators; what a step wins is the trapezium of its slopes.
+    """
+
+    guard: Guard
+    density: Grid | None
+    threads: int
+    points: Floats
+    steps: list[Floats] = field(default_factory=list)
+    changes: list[Floats] = field(default_factory=list)
+    won: list[float] = field(default_factory=list)
+    """Energy won by each step, over the energy of the inner cells then."""
+    residuals: list[float] = field(default_factory=list)
+    """Mean square distance from generator to centroid before each step."""
+
+    def __post_init__(self) -> None:
+        self.moments = self._moments(self.points)
+
+    @classmethod
+    def resumed(
+        cls, guard: Guard, density: Grid | None, threads: int, state: Mapping[str, Any]
+    ) -> Descent:
+        """Where ``state`` of an earlier one was taken; it goes on to the same bits."""
+        lists = {name: list(state[name]) for name in ("steps", "changes", "won", "residuals")}
+        return cls(guard, density, threads, state["points"], **lists)
+
+    def state(self) -> dict[str, Any]:
+        """Arrays to go on from."""
+        empty = np.zeros((0, *self.points.shape))
+        return {
+            "points": self.points,
+            "steps": np.array(self.steps) if self.steps else empty,
+            "changes": np.array(self.changes) if self.changes else empty,
+            "won": np.array(self.won),
+            "residuals": np.array(self.residuals),
+        }
+
+    def _moments(self, points: Floats) -> Moments:
+        return cell_moments(
+            np.concatenate([points, self.guard.within]), len(points), self.density, self.threads
+        )
+
+    @property
+    def residual(self) -> float:
+        return float(((self.points - self.moments.centroid) ** 2).sum(axis=1).mean())
+
+    @property
+    def done(self) -> bool:
+        part, steps = STOP
+        return len(self.won) >= steps and sum(self.won[-steps:]) < part
+
+    def step(self) -> None:
+        gradient = energy_gradient(self.points, self.moments)
+        way = self._direction(gradient)
+        if np.vdot(way, gradient) >= 0:
+            self.steps, self.changes = [], []
+            way = self._direction(gradient)
+        longest = REACH * np.cbrt(self.moments.volume)
+        way *= np.minimum(
+            1.0, longest / np.maximum(np.linalg.norm(way, axis=1), np.finfo(float).tiny)
+        )[:, None]
+        for _ in range(SHORTENED):
+            moved = self.guard.moved(self.points, way, self.threads)
+            moments = self._moments(moved)
+            after, taken = energy_gradient(moved, moments), moved - self.points
+            slope, last = float(np.vdot(gradient, taken)), float(np.vdot(after, taken))
+            if last <= -OVERSHOT * slope:
+                break
+            way = taken * (slope / (slope - last))
+        self.residuals.append(self.residual)
+        self.won.append(-0.5 * (slope + last) / float(self.moments.energy.sum()))
+        change = after - gradient
+        if np.vdot(taken, change) > 1e-12 * np.linalg.norm(taken) * np.linalg.norm(change):
+            self.steps, self.changes = [*self.steps, taken], [*self.changes, change]
+            self.steps, self.changes = self.steps[-MEMORY:], self.changes[-MEMORY:]
+        self.points, self.moments = moved, moments
+
+    def _direction(self, gradient: Floats) -> Floats:
+        """The two-loop recursion."""
+        way, factors = -gradient, []
+        for taken, change in zip(reversed(self.steps), reversed(self.changes), strict=True):
+            factor = np.vdot(taken, way) / np.vdot(taken, change)
+            way = way - factor * change
+            factors.append(factor)
+        start = 0.5 / self.moments.mass[:, None]
+        if self.steps:
+            last = self.changes[-1]
+            start = start * (np.vdot(self.steps[-1], last) / np.vdot(last, start * last))
+        way = start * way
+        for taken, change, factor in zip(self.steps, self.changes, reversed(factors), strict=True):
+            way = way + (factor - np.vdot(change, way) / np.vdot(taken, change)) * taken
+        return np.asarray(way)
