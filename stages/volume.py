@@ -8,164 +8,329 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from . import contract
-from .contract import Context, Outcome, Range, Stage
+from .contract import Context, Outcome, Range, Share, Stage
 from .memory import peak
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .optimize.cvt import Descent, PaperDescent
+    from .surface.model_frame import ModelFrame
+    from .surface.polygons import Floats, PolygonMesh
+    from .voronoi.boundary import Boundary
+    from .voronoi.grading import Sizes
+    from .voronoi.interior import Guard
+
 CHECKPOINT_EVERY = 10
-
-
-MERGE = 1e-6
-"""In units of h0: edges shorter than this are contracted in the cells of a certified surface."""
+DEFAULT_INNER = 800
+MOST_INNER = 10_000_000
+SAME = 1e-6
+"""In units of h0: how far the written surface may be from the interface of its generators."""
+BELOW = 0.55
+"""Of a cell's size, that surface cells reach below their generators, about."""
 
 
 @dataclass(frozen=True)
 class Params(contract.Params):
     """Options of the volume stage."""
 
-    inner: Annotated[int, Range(1, 10_000_000)] = 800
-    """Generators to place inside, away from the surface."""
+    inner: Annotated[int, Range(1, MOST_INNER)] | None = None
+    """Generators to place inside, away from the surface. Default: 800, or what --spacing and
+    --grading ask for."""
+    spacing: Annotated[float, Range(0)] | None = None
+    """Size of the inner cells (the cube root of their volume, in the input's unit) in place of
+    their number; with --grading the largest size."""
+    grading: Share = 0.0
+    """How much the size of cells grows per distance to the surface, from that of the surface's own
+    faces; 0 is one size for all."""
+    cvt: Literal["energy", "paper"] = "energy"
+    """What evens out the inner cells: quasi-Newton steps on the CVT energy, or Adam on the paper's
+    loss, which --grading does not know."""
     cvt_iterations: Annotated[int, Range(0, 100_000)] = 100
-    """Most steps towards a centroidal Voronoi tessellation of the inner generators; they end before
-    where five win less than a thousandth of its energy."""
+    """Most steps of that; on the energy they end before, where five win less than a thousandth."""
+    sliver: Annotated[float, Range(0, 0.2)] = 0.01
+    """Edges inside that are shorter than this share of the smallest cell beside them are
+    contracted, as are faces smaller than its square."""
 
 
 def run(context: Context) -> Outcome:
     """The paper's section 3.6 and appendix C.2; quasi-Newton steps lower the CVT energy."""
     import numpy as np
 
-    from .errors import NumericalFailure
+    from .errors import InputError, UsageError
     from .export import vtu
-    from .optimize.cvt import Descent
+    from .metrics import polyhedra
     from .surface.geometry import enclosed_volume, face_frames, fan_triangles
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
-    from .voronoi.cells import open_cells, polyhedral_mesh
-    from .voronoi.certificate import MARGIN, certify
+    from .surface.topology import bad_edges
+    from .voronoi.cells import raw_cells
     from .voronoi.delaunay import delaunay
-    from .voronoi.interface import interface
-    from .voronoi.interior import Guard, sample
-    from .voronoi.unchanged import same_surface
+    from .voronoi.moments import cell_moments
+    from .voronoi.slivers import merged
 
     params = context.params
+    if params.spacing == 0:
+        raise UsageError("--spacing 0: must be more than 0")
+    if params.spacing is not None and params.inner is not None:
+        raise UsageError("--spacing: says how many inner generators there are, as --inner does")
+    if params.grading and params.cvt == "paper":
+        raise UsageError("--grading: the paper's CVT loss has no density; use --cvt energy")
     trained = context.arrays("sphere-train")
     frame = ModelFrame.of(context.arrays("classify"))
-    within = frame.model_from_input(trained["generators/inside"])
-    without = frame.model_from_input(trained["generators/outside"])
-    boundary = np.concatenate([within, without])
-    labels = np.arange(len(boundary)) < len(within)
-    before = interface(boundary, labels)
-    mesh_trained = PolygonMesh.from_arrays(trained, "trained/")
-    mesh_trained = mesh_trained.with_vertices(frame.model_from_input(mesh_trained.vertices))
-    radii = trained["spheres/radius"] / frame.spacing
-    recorded = context.folder.manifest("sphere-train") or {}
-    certified = bool(recorded["metrics"]["certificate"]["holds"])
-    if certified:
-        # As far outside the spheres as the certificate asks.
-        guard = Guard(boundary, labels, mesh_trained.vertices, np.sqrt(radii**2 + 2 * MARGIN))
-    else:
-        guard = Guard.of(boundary, labels, before)
-    mean_area = float(face_frames(before.mesh)[0].mean())
-
-    found = context.checkpoints.latest()
-    if found is not None:
-        descent = Descent.resumed(guard, None, context.threads, found[1])
-    else:
-        context.progress.start("inner generators", params.inner)
-        points = sample(
-            guard, params.inner, context.random, context.threads, context.progress.advance
+    written = PolygonMesh.from_arrays(trained, "surface/")
+    gaps = len(bad_edges(written))
+    if gaps or not written.face_count:
+        raise InputError(
+            f"{context.folder.file('sphere-train', 'ply')}: {gaps} edges are not in two faces, so "
+            "the surface encloses nothing; train it again, with a higher -n"
         )
-        descent = Descent(guard, None, context.threads, points)
-        context.checkpoints.save(0, descent.state())
-    context.progress.start("volume", params.cvt_iterations)
-    while len(descent.won) < params.cvt_iterations and not descent.done:
-        descent.step()
-        iteration = len(descent.won)
-        context.progress.advance(iteration, f"CVT loss {descent.residuals[-1] / mean_area:.3g}")
-        if iteration % CHECKPOINT_EVERY == 0:
-            context.checkpoints.save(iteration, descent.state())
+    surface = written.with_vertices(frame.model_from_input(written.vertices))
+    mean_area = float(face_frames(surface)[0].mean())
+    bounded = _bounded(context, frame, surface)
+    sizes = None
+    count = params.inner or DEFAULT_INNER
+    if params.spacing is not None or params.grading:
+        sizes, count = _sizes(params, frame, surface, bounded.guard, context.threads)
+    descent = _descend(context, bounded.guard, count, sizes, mean_area)
     points = descent.points
-    history = np.array([*descent.residuals, descent.residual]) / mean_area
-    size = float(np.cbrt(descent.moments.volume.mean()))
-    offset = np.linalg.norm(points - descent.moments.centroid, axis=1)
 
-    generators = np.concatenate([points, boundary])
-    inside = np.concatenate([np.ones(len(points), bool), labels])
-    diagram = delaunay(generators)
-    if certified:
-        # The certificate is against all generators: with it the surface is the same to the bit.
-        count = mesh_trained.face_count
-        ends = len(points) + np.stack([np.arange(count), count + np.arange(count)], axis=1)
-        found_now = certify(mesh_trained, radii, generators, inside, ends, context.threads)
-        difference = (
-            None
-            if found_now.holds
-            else "the certificate fails (" + ", ".join(found_now.failed) + ")"
-        )
-    else:
-        after = interface(generators, inside, diagram)
-        difference = same_surface(before, after, boundary, len(points))
-    if difference is not None:
-        raise NumericalFailure(f"the inner generators changed the surface: {difference}")
-    mesh = polyhedral_mesh(generators, inside, diagram, MERGE if certified else 0.0)
-    unclosed = open_cells(mesh)
-    volume = float(mesh.cell_volume.sum())
-    surface = PolygonMesh.from_arrays(trained, "surface/")
-    surface = surface.with_vertices(frame.model_from_input(surface.vertices))
+    generators = np.concatenate([points, bounded.guard.generators])
+    inside = np.concatenate([np.ones(len(points), bool), bounded.guard.inside])
+    bounded.recheck(points)
+    raw = raw_cells(generators, inside, delaunay(generators), bounded.boundary, len(points))
+    at = generators[raw.cell_generator]
+    result = merged(raw, params.sliver, at)
+    mesh = result.mesh
+    volume, _ = mesh.solids(at)
     enclosed = enclosed_volume(*fan_triangles(surface)[:2])
     role = np.where(inside, 1, 0)
     role[: len(points)] = 2
-    warnings = [f"{unclosed} cells are not closed"] if unclosed else []
-    placed = mesh.faces.with_vertices(frame.input_from_model(mesh.faces.vertices))
+
+    warnings = list(bounded.warnings)
+    faults = {name: cells for name, cells in result.faults.items() if cells}
+    if faults:
+        named = ", ".join(f"{cells} {name.replace('_', ' ')}" for name, cells in faults.items())
+        warnings.append(f"not all cells are sound ({named}): a solver may refuse them")
+    if params.cvt == "energy" and params.cvt_iterations and not descent.done:
+        warnings.append(
+            f"the CVT energy was still falling after {descent.taken} steps: raise --cvt-iterations"
+        )
+    moments = cell_moments(
+        np.concatenate([points, bounded.guard.within]), len(points),
+        sizes.density() if sizes and params.grading else None, context.threads,
+    )  # fmt: skip
+    offset = np.linalg.norm(points - moments.centroid, axis=1)
+    history = np.array([*descent.residuals, (offset**2).mean()]) / mean_area
+    inner_size = float(np.cbrt(moments.volume.mean()))
+
+    # The surface's vertices are those of the file, to the bit.
+    placed = frame.input_from_model(mesh.faces.vertices)
+    placed[: written.vertex_count] = written.vertices
+    output = mesh.with_vertices(placed)
+    found = polyhedra.quality(output)
+    cell_role = role[mesh.cell_generator]
     scale = frame.spacing**3
     data = {
         "generator": mesh.cell_generator,
-        "role": role[mesh.cell_generator],
-        "volume": mesh.cell_volume * scale,
+        "role": cell_role,
+        "volume": volume * scale,
+        "faces": np.bincount(mesh.half_faces[1], minlength=mesh.cell_count),
+        "non_orthogonality": found.cell_non_orthogonality,
+        "skewness": found.cell_skewness,
+        "aspect": found.aspect,
     }
-    output = type(mesh)(
-        placed, mesh.owner, mesh.neighbour, mesh.cell_generator, mesh.cell_volume * scale
-    )
+    of_surface = np.cbrt(volume[cell_role == 1]).mean()
+    of_inner = np.cbrt(volume[cell_role == 2]).mean()
+    smallest = face_frames(mesh.faces)[0]
     return Outcome(
         arrays={
             "generators": frame.input_from_model(generators),
             "generator_role": role,
-            **placed.as_arrays(),
+            **output.faces.as_arrays(),
             "face_owner": mesh.owner,
             "face_neighbour": mesh.neighbour,
             "cell_generator": mesh.cell_generator,
-            "cell_volume": output.cell_volume,
+            "cell_volume": volume * scale,
             "history": history,
         },
         files={"vtu": vtu.encode(output, data)},
         metrics={
             "inner_generators": len(points),
-            "cells": len(mesh.cell_generator),
-            "faces": placed.face_count,
+            "cells": mesh.cell_count,
+            "faces": mesh.faces.face_count,
             "boundary_faces": int((mesh.neighbour < 0).sum()),
-            "open_cells": unclosed,
+            "open_cells": result.faults["open"],
+            "faults": result.faults,
             "surface_unchanged": True,
-            "cell_volume_sum": volume * scale,
+            "cell_volume_sum": float(volume.sum()) * scale,
             "enclosed_volume": enclosed * scale,
-            "volume_error": abs(volume / enclosed - 1),
-            "smallest_cell_volume": float(mesh.cell_volume.min()) * scale,
-            "cvt_iterations": len(history) - 1,
+            "volume_error": abs(float(volume.sum()) / enclosed - 1),
+            "smallest_cell_volume": float(volume.min()) * scale,
+            "slivers": {
+                "contracted_vertices": result.contracted_vertices,
+                "kept_vertices": result.kept_vertices,
+                "smallest_face_area": float(smallest.min()) * frame.spacing**2,
+            },
+            "cvt_iterations": descent.taken,
             "cvt_converged": descent.done,
             "cvt_loss_first": float(history[0]),
             "cvt_loss_last": float(history[-1]),
-            "inner_cell_size": size * frame.spacing,
-            "centroid_distance_mean": float(offset.mean()) / size,
-            "centroid_distance_max": float(offset.max()) / size,
+            "inner_cell_size": inner_size * frame.spacing,
+            "surface_to_inner_size": float(of_surface / of_inner),
+            "neighbours_within_factor_2": float((found.size_ratio < 2).mean()),
+            "centroid_distance_mean": float(offset.mean()) / inner_size,
+            "centroid_distance_max": float(offset.max()) / inner_size,
+            "quality": polyhedra.summary(found),
         },
         warnings=warnings,
     )
 
 
+@dataclass(frozen=True)
+class _Bounded:
+    """What inner generators must leave alone, and what their cells end at."""
+
+    guard: Guard
+    boundary: Boundary
+    recheck: Callable[[Floats], None]
+    """Called with the inner generators; raises NumericalFailure where they change the surface."""
+    warnings: list[str]
+
+
+def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Bounded:
+    """From the trained surface where the certificate holds, else from the real interface."""
+    import numpy as np
+
+    from .errors import NumericalFailure
+    from .surface.polygons import PolygonMesh
+    from .voronoi.boundary import Boundary
+    from .voronoi.certificate import MARGIN, certify
+    from .voronoi.cleanup import clean
+    from .voronoi.interface import interface
+    from .voronoi.interior import Guard
+
+    trained = context.arrays("sphere-train")
+    within = frame.model_from_input(trained["generators/inside"])
+    boundary = np.concatenate([within, frame.model_from_input(trained["generators/outside"])])
+    count, labels = len(within), np.arange(len(boundary)) < len(within)
+    recorded: dict[str, Any] = context.folder.manifest("sphere-train") or {}
+    metrics = recorded["metrics"]
+    radii = trained["spheres/radius"] / frame.spacing
+
+    if metrics["certificate"]["holds"]:
+        # As far outside the spheres as the certificate asks.
+        guard = Guard(boundary, labels, surface.vertices, np.sqrt(radii**2 + 2 * MARGIN))
+
+        def still_certified(points: Floats) -> None:
+            ends = len(points) + np.stack([np.arange(count), count + np.arange(count)], axis=1)
+            found = certify(
+                surface, radii, np.concatenate([points, boundary]),
+                np.concatenate([np.ones(len(points), bool), labels]), ends, context.threads,
+            )  # fmt: skip
+            if not found.holds:
+                raise NumericalFailure(
+                    "the inner generators changed the surface: the certificate fails ("
+                    + ", ".join(found.failed) + ")"
+                )  # fmt: skip
+
+        return _Bounded(guard, Boundary.certified(surface), still_certified, [])
+
+    raw = interface(boundary, labels)
+    drawn = metrics["merged_within"] > 0
+    anchors = PolygonMesh.from_arrays(trained, "trained/").vertices
+    cleaned = clean(
+        raw, 1.0, anchors=frame.model_from_input(anchors) if drawn else None,
+        reach=recorded["params"]["merge"] if drawn else 0.0,
+    )  # fmt: skip
+    made = Boundary.cleaned(raw, labels, cleaned, surface, SAME)
+    if made is None:
+        raise NumericalFailure(
+            f"{context.folder.file('sphere-train', 'ply')}: is not the interface of its "
+            "generators; run: vorolight sphere-train"
+        )
+    warning = (
+        f"the surface has no certificate ({', '.join(metrics['certificate']['failed'])} fails): "
+        "the cells end at the interface of its generators, which is what was written"
+    )
+    guard = Guard.of(boundary, labels, raw)
+    return _Bounded(guard, made, lambda points: None, [warning])
+
+
+def _sizes(
+    params: Params, frame: ModelFrame, surface: PolygonMesh, guard: Guard, threads: int
+) -> tuple[Sizes, int]:
+    """The sizes that --spacing and --grading ask for, and how many inner cells that are."""
+    import math
+
+    import numpy as np
+
+    from .errors import InputError
+    from .surface.geometry import face_frames
+    from .voronoi.grading import Sizes, depths
+
+    most = math.inf if params.spacing is None else params.spacing / frame.spacing
+    own = math.sqrt(float(face_frames(surface)[0].mean()))
+    least = min(own, most) if params.grading else most
+    sizes = Sizes(least, params.grading, most, depths(surface, guard, threads))
+    if params.inner is not None:
+        return sizes, params.inner
+    half = len(guard.generators) // 2
+    offset = float(np.linalg.norm(guard.generators[:half] - guard.generators[half:], axis=1).mean())
+    # Cells of the surface end where those of the first inner generators begin.
+    below = (offset / 2 + BELOW * least) / max(1 - BELOW * params.grading, BELOW)
+    wanted = sizes.count(min(below, offset / 2 + BELOW * most))
+    if not 1 <= wanted <= MOST_INNER:
+        raise InputError(
+            f"--spacing {params.spacing:g}: asks for {wanted:.3g} inner generators, which must be "
+            f"from 1 to {MOST_INNER}; {'lower' if wanted < 1 else 'raise'} it"
+        )
+    return sizes, round(wanted)
+
+
+def _descend(
+    context: Context, guard: Guard, count: int, sizes: Sizes | None, mean_area: float
+) -> Descent | PaperDescent:
+    """Inner generators, sampled and evened out; resumes from the newest checkpoint."""
+    from .optimize.cvt import Descent, PaperDescent
+    from .voronoi.interior import sample
+
+    params, threads = context.params, context.threads
+    density = sizes.density() if sizes and params.grading else None
+    found = context.checkpoints.latest()
+    descent: Descent | PaperDescent
+    if found is not None:
+        if params.cvt == "paper":
+            descent = PaperDescent.resumed(guard, mean_area, threads, found[1])
+        else:
+            descent = Descent.resumed(guard, density, threads, found[1])
+    else:
+        context.progress.start("inner generators", count)
+        points = sample(
+            guard, count, context.random, threads, context.progress.advance,
+            sizes.places if sizes and params.grading else None,
+        )  # fmt: skip
+        if params.cvt == "paper":
+            descent = PaperDescent(guard, points, mean_area, threads)
+        else:
+            descent = Descent(guard, density, threads, points)
+        context.checkpoints.save(0, descent.state())
+    context.progress.start("volume", params.cvt_iterations)
+    while descent.taken < params.cvt_iterations and not descent.done:
+        descent.step()
+        loss = descent.residuals[-1] / mean_area
+        context.progress.advance(descent.taken, f"CVT loss {loss:.3g}")
+        if descent.taken % CHECKPOINT_EVERY == 0:
+            context.checkpoints.save(descent.taken, descent.state())
+    return descent
+
+
 def _memory(context: Context) -> float:
     boundary = 2 * len(context.arrays("sphere-train")["generators/inside"])
-    return peak(200.0, 100.0, 11.0, boundary + context.params.inner)
+    return peak(200.0, 100.0, 11.0, boundary + (context.params.inner or DEFAULT_INNER))
 
 
 STAGE = Stage(

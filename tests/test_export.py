@@ -91,9 +91,10 @@ def test_vtu_is_read_by_vtk(heart_run: Path, manifest: Callable[[str], dict[str,
         for number in range(cell.GetNumberOfFaces()):
             points = cell.GetFace(number).GetPoints()
             ring = np.array([points.GetPoint(i) for i in range(points.GetNumberOfPoints())])
-            fan = ring - ring.mean(axis=0)
-            area = 0.5 * np.cross(fan, np.roll(fan, -1, axis=0)).sum(axis=0)
-            volume += ring.mean(axis=0) @ area / 3
+            face = PolygonMesh.of_triangles(ring, np.arange(len(ring))[None])
+            corners, triangles, _ = fan_triangles(face)
+            a, b, c = (corners[triangles[:, k]] for k in range(3))
+            volume += np.einsum("ij,ij->", a, np.cross(b, c)) / 6
         assert volume == pytest.approx(recorded.GetValue(index), rel=1e-6, abs=1e-12)
         total += volume
     assert total == pytest.approx(metrics["enclosed_volume"], rel=1e-9)

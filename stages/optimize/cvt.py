@@ -23,6 +23,8 @@ SHORTENED = 3
 """Times at the most."""
 STOP = 1e-3, 5
 """Descent ends where this part of the energy is not won in so many steps."""
+RATE = 0.02
+"""Of Adam on the paper's loss, in units of the mean size of cells at first."""
 
 
 def energy_gradient(points: Floats, moments: Moments) -> Floats:
@@ -63,6 +65,11 @@ class Descent:
         """Where ``state`` of an earlier one was taken; it goes on to the same bits."""
         lists = {name: list(state[name]) for name in ("steps", "changes", "won", "residuals")}
         return cls(guard, density, threads, state["points"], **lists)
+
+    @property
+    def taken(self) -> int:
+        """Steps so far."""
+        return len(self.won)
 
     def state(self) -> dict[str, Any]:
         """Arrays to go on from."""
@@ -130,3 +137,59 @@ class Descent:
         for taken, change, factor in zip(self.steps, self.changes, reversed(factors), strict=True):
             way = way + (factor - np.vdot(change, way) / np.vdot(taken, change)) * taken
         return np.asarray(way)
+
+
+class PaperDescent:
+    """Adam on the paper's CVT loss from ``points (M, 3)``, with the guard's halved moves."""
+
+    def __init__(self, guard: Guard, points: Floats, mean_area: float, threads: int) -> None:
+        import torch
+
+        from .loop import Moments as AdamMoments
+
+        self.guard, self.mean_area, self.threads = guard, mean_area, threads
+        self.fixed = torch.as_tensor(guard.within)
+        self.points = points
+        self.tensor = torch.as_tensor(points.copy()).requires_grad_()
+        self.adam = AdamMoments({"points": self.tensor})
+        self.residuals: list[float] = []
+        first = cell_moments(np.concatenate([points, guard.within]), len(points), threads=threads)
+        self.rate = RATE * float(np.cbrt(first.volume.mean()))
+
+    @classmethod
+    def resumed(
+        cls, guard: Guard, mean_area: float, threads: int, state: Mapping[str, Any]
+    ) -> PaperDescent:
+        """Where ``state`` of an earlier one was taken; it goes on to the same bits."""
+        descent = cls(guard, state["points"], mean_area, threads)
+        descent.adam.restore(state)
+        descent.rate, descent.residuals = float(state["rate"]), list(state["residuals"])
+        return descent
+
+    @property
+    def done(self) -> bool:
+        """It has no end of its own."""
+        return False
+
+    @property
+    def taken(self) -> int:
+        return len(self.residuals)
+
+    def state(self) -> dict[str, Any]:
+        """Arrays to go on from."""
+        rest = {"rate": np.array(self.rate), "residuals": np.array(self.residuals)}
+        return {**self.adam.as_arrays(), **rest}
+
+    def step(self) -> None:
+        import torch
+
+        from ..losses.cvt import cvt
+
+        loss = cvt(self.tensor, self.fixed, self.mean_area)
+        gradient = torch.autograd.grad(loss, [self.tensor])
+        self.residuals.append(float(loss.detach()) * self.mean_area)
+        self.adam.step(gradient, self.taken - 1, self.rate)
+        step = self.tensor.detach().numpy() - self.points
+        self.points = self.guard.moved(self.points, step, self.threads)
+        with torch.no_grad():
+            self.tensor.copy_(torch.as_tensor(self.points))

@@ -1,15 +1,18 @@
-"""Voronoi cells as closed polyhedra with shared faces."""
+"""Voronoi cells as closed polyhedra with shared vertices and faces."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.edits import contract_short_edges, reduce_rings
-from ..surface.geometry import face_frames
+from ..errors import NumericalFailure
+from ..surface.edits import reduce_rings
+from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
+from .boundary import INNER, Boundary, same_rings
 from .cleanup import settle
 from .delaunay import Tetrahedra
 from .interface import rings_to_surface
@@ -19,26 +22,96 @@ from .vertices import FLAT
 
 @dataclass(frozen=True)
 class PolyhedralMesh:
-    """Convex cells with shared faces; a face's normal points from its owner to its neighbour."""
+    """Cells with shared faces; a face's normal points from its owner to its neighbour.
+
+    Faces between two cells come first, sorted by owner and neighbour (owner the smaller); then
+    those of the surface in its order. The surface's vertices are the first ones, in its order.
+    """
 
     faces: PolygonMesh
     owner: Ints
+    """Cell that each face's normal leaves, ``(F,)``."""
     neighbour: Ints
     """Cell on the other side ``(F,)``, -1 on the boundary."""
     cell_generator: Ints
-    cell_volume: Floats
+    """Generator of each cell ``(C,)``, ascending."""
+    surface_vertices: int
+    """How many of the vertices are the surface's."""
+
+    @property
+    def cell_count(self) -> int:
+        return len(self.cell_generator)
+
+    @cached_property
+    def half_faces(self) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+        """Every face once for each of its cells: face, cell, and whether the ring turns the other
+        way seen from outside the cell. Sorted by cell, then face."""
+        inner = np.flatnonzero(self.neighbour >= 0)
+        face = np.concatenate([np.arange(self.faces.face_count), inner])
+        cell = np.concatenate([self.owner, self.neighbour[inner]])
+        back = np.arange(len(face)) >= self.faces.face_count
+        order = np.lexsort([face, cell])
+        return face[order], cell[order], back[order]
+
+    def with_vertices(self, vertices: Floats) -> PolyhedralMesh:
+        """The same cells over other positions ``(V, 3)``."""
+        return replace(self, faces=self.faces.with_vertices(vertices))
+
+    @property
+    def boundary(self) -> PolygonMesh:
+        """The faces of one cell only, over all vertices."""
+        return self.faces.select_faces(self.neighbour < 0)
+
+    @cached_property
+    def tetrahedra(self) -> tuple[Floats, Ints, Ints]:
+        """Vertices ``(V + F', 3)``, triangles ``(T, 3)`` of all faces seen from outside of a cell,
+        and the cell ``(T,)`` of each: with a point of the cell each gives a tetrahedron.
+
+        Faces with more than three corners are fanned about their centroids, which are appended to
+        the vertices.
+        """
+        vertices, triangles, face = fan_triangles(self.faces)
+        back = np.flatnonzero(self.neighbour[face] >= 0)
+        return (
+            vertices,
+            np.concatenate([triangles, triangles[back][:, ::-1]]),
+            np.concatenate([self.owner[face], self.neighbour[face[back]]]),
+        )
+
+    def tetrahedron_volumes(self, apexes: Floats) -> Floats:
+        """Of the tetrahedra from ``apexes (C, 3)``, a point of each cell, to their triangles."""
+        vertices, triangles, cell = self.tetrahedra
+        apex = apexes[cell]
+        a, b, c = (vertices[triangles[:, k]] - apex for k in range(3))
+        return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
+
+    def solids(self, points: Floats) -> tuple[Floats, Floats]:
+        """Volume ``(C,)`` and centroid ``(C, 3)`` of each cell, its faces fanned about their
+        centroids. ``points (C, 3)`` are near the cells, to keep the sums small."""
+        vertices, triangles, cell = self.tetrahedra
+        each = self.tetrahedron_volumes(points)
+        volume = np.bincount(cell, each, minlength=self.cell_count).astype(np.float64)
+        arm = vertices[triangles].sum(axis=1) - 3 * points[cell]
+        moment = np.stack(
+            [np.bincount(cell, each * arm[:, k] / 4, minlength=self.cell_count) for k in range(3)],
+            axis=1,
+        )
+        solid = np.where(volume > 0, volume, 1.0)[:, None]
+        return volume, points + np.where(volume[:, None] > 0, moment / solid, 0.0)
 
 
-def polyhedral_mesh(
+def raw_cells(
     generators: Floats,
     inside: NDArray[np.bool_],
     tetrahedra: Tetrahedra,
-    merge: float = 0.0,
+    boundary: Boundary,
+    added: int = 0,
 ) -> PolyhedralMesh:
-    """The cells of all inside generators of a diagram.
+    """The cells of all inside generators ``(N, 3)`` of a diagram, bounded by ``boundary``, whose
+    generators come after the first ``added`` ones.
 
-    Edges shorter than ``merge`` are contracted and faces without three corners dropped: where
-    more than four generators lie on one sphere the diagram has them by rounding only.
+    Diagram vertices that are the surface's become the surface's own, to the bit. Raises
+    NumericalFailure when the faces at the boundary are not those of the surface.
     """
 
     def select(a: Ints, b: Ints) -> NDArray[np.int8]:
@@ -46,47 +119,89 @@ def polyhedral_mesh(
         sign = np.where(a_in & b_in, np.where(a < b, 1, -1), a_in.astype(int) - b_in.astype(int))
         return sign.astype(np.int8)
 
-    surface = rings_to_surface(
-        generators, tetrahedra, voronoi_rings(generators, tetrahedra, select)
-    )
-    flat = surface.flatness < FLAT
-    faces = surface.mesh.with_vertices(settle(surface.mesh.vertices, surface.mesh, flat))
-    pairs = surface.generators
-    if merge > 0:
-        faces, kept = reduce_rings(faces, contract_short_edges(faces, merge))
-        faces, pairs = faces.without_unused_vertices(), pairs[kept]
+    rings = voronoi_rings(generators, tetrahedra, select)
+    diagram = rings_to_surface(generators, tetrahedra, rings)
+    raw, flat, first = diagram.mesh, diagram.flatness < FLAT, boundary.mesh.vertex_count
+    at = boundary.vertex_of(diagram.tetrahedra - added, raw.vertices)
+    known = at >= 0
+    placed = raw.vertices.copy()
+    placed[known] = boundary.mesh.vertices[at[known]]
+    placed = settle(placed, raw, flat & (at == INNER))
+    target = np.where(at == INNER, first + np.arange(len(at)), at)
+    vertices = np.concatenate([boundary.mesh.vertices, placed])
+    # Ring numbers are of diagram vertices; the reduced rings are over ``vertices``.
+    wide = PolygonMesh(vertices, raw.face_offsets, raw.face_vertices)
+    faces, kept = reduce_rings(wide, target)
+    pairs = diagram.generators[kept]
     cell_generator = np.unique(pairs[inside[pairs]])
     cell = np.full(len(generators), -1, dtype=np.int64)
     cell[cell_generator] = np.arange(len(cell_generator))
     owner, neighbour = cell[pairs[:, 0]], cell[pairs[:, 1]]
-    area, normal, centre = face_frames(faces)
-    volume = np.zeros(len(cell_generator))
-    for sign, side in ((1.0, owner), (-1.0, neighbour)):
-        real = side >= 0
-        apex = generators[cell_generator[side[real]]]
-        height = sign * np.einsum("ij,ij->i", centre[real] - apex, normal[real])
-        volume += np.bincount(side[real], area[real] * height / 3, minlength=len(volume))
-    return PolyhedralMesh(faces, owner, neighbour, cell_generator, volume)
+    outer = neighbour < 0
+    place = _places(pairs[outer], added + boundary.generators)
+    if place is None or not same_rings(faces.select_faces(outer), place, boundary.mesh):
+        raise NumericalFailure(
+            "the faces of the cells at the boundary are not those of the surface: the inner "
+            "generators changed it"
+        )
+    return _assembled(
+        faces.select_faces(~outer), owner[~outer], neighbour[~outer],
+        boundary.mesh, owner[outer][place], cell_generator,
+    )  # fmt: skip
 
 
-def open_cells(mesh: PolyhedralMesh) -> int:
-    """Number of cells whose faces do not meet two by two along every edge."""
-    start, end = mesh.faces.face_vertices, mesh.faces.next_vertices
-    count = mesh.faces.vertex_count
-    parts = []
-    for side, ahead in ((mesh.owner, True), (mesh.neighbour, False)):
-        cell = side[mesh.faces.corner_faces]
-        real = cell >= 0
-        a, b = (start, end) if ahead else (end, start)
-        parts.append(np.stack([cell[real], a[real], b[real]], axis=1))
-    half = np.concatenate(parts)
-    forward = half[:, 1] < half[:, 2]
-    edge = np.minimum(half[:, 1], half[:, 2]) * count + np.maximum(half[:, 1], half[:, 2])
-    order = np.lexsort((edge, half[:, 0]))
-    cell, edge, forward = half[order, 0], edge[order], forward[order]
-    group = np.cumsum(
-        np.diff(edge, prepend=-1).astype(bool) | np.diff(cell, prepend=-1).astype(bool)
+def _places(pairs: Ints, wanted: Ints) -> Ints | None:
+    """Where each of ``wanted (F, 2)`` is in ``pairs``; None if they are not the same."""
+    base = 1 + int(max(pairs.max(initial=0), wanted.max(initial=0)))
+    keys = [p @ np.array([base, 1]) for p in (pairs, wanted)]
+    orders = [np.argsort(key, kind="stable") for key in keys]
+    if not np.array_equal(keys[0][orders[0]], keys[1][orders[1]]):
+        return None
+    place = np.empty(len(wanted), dtype=np.int64)
+    place[orders[1]] = orders[0]
+    return place
+
+
+def _assembled(
+    inner: PolygonMesh,
+    owner: Ints,
+    neighbour: Ints,
+    surface: PolygonMesh,
+    surface_owner: Ints,
+    cell_generator: Ints,
+) -> PolyhedralMesh:
+    order = np.lexsort([neighbour, owner])
+    starts, length = inner.face_offsets[:-1][order], inner.valences[order]
+    offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
+    take = np.arange(offsets[-1]) + np.repeat(starts - offsets[:-1], length)
+    corners = np.concatenate([inner.face_vertices[take], surface.face_vertices])
+    used = np.zeros(inner.vertex_count, dtype=bool)
+    used[: surface.vertex_count] = True
+    used[corners] = True
+    number = np.cumsum(used) - 1
+    faces = PolygonMesh(
+        inner.vertices[used],
+        np.concatenate([offsets, offsets[-1] + surface.face_offsets[1:]]),
+        number[corners],
     )
-    uses = np.bincount(group)[group]
-    ahead_uses = np.bincount(group, forward)[group]
-    return len(np.unique(cell[(uses != 2) | (ahead_uses != 1)]))
+    outside = np.full(surface.face_count, -1, dtype=np.int64)
+    return PolyhedralMesh(
+        faces,
+        np.concatenate([owner[order], surface_owner]),
+        np.concatenate([neighbour[order], outside]),
+        cell_generator,
+        surface.vertex_count,
+    )
+
+
+def contracted(mesh: PolyhedralMesh, target: Ints, vertices: Floats) -> PolyhedralMesh:
+    """The cells over ``target (V,)``, new numbers into ``vertices``; faces without three corners
+    go. The surface's vertices must stay as they are."""
+    inner = mesh.neighbour >= 0
+    surface = mesh.boundary.with_vertices(vertices[: mesh.surface_vertices])
+    wide = PolygonMesh(vertices, mesh.faces.face_offsets, mesh.faces.face_vertices)
+    faces, kept = reduce_rings(wide.select_faces(inner), target)
+    return _assembled(
+        faces, mesh.owner[inner][kept], mesh.neighbour[inner][kept],
+        surface, mesh.owner[~inner], mesh.cell_generator,
+    )  # fmt: skip

@@ -3,59 +3,78 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from .delaunay import Floats
+from ..sources.projection import ClosestPoint
+from ..surface.geometry import fan_triangles
+from ..surface.polygons import Floats, PolygonMesh
+from .interior import Guard
 
-NODES = 2_000_000
-"""Of the grid that sizes are kept on, about."""
+NODES = 400_000
+"""Of the grid that the distance to the surface is kept on, about."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Values at the nodes of a grid, linear between them: what a centroidal tessellation weighs
-    space with to get cells of a wanted size."""
+    """Values at the nodes ``(X, Y, Z)`` of a grid, linear between them."""
 
     values: Floats
     origin: Floats
     spacing: float
 
-    @property
-    def nodes(self) -> tuple[Floats, Floats, float]:
-        return self.values, self.origin, self.spacing
-
 
 @dataclass(frozen=True)
 class Sizes:
-    """Wanted cell sizes (cube roots of volumes) around a surface.
-
-    At depth d below the surface they are ``min(least + growth d, most)``.
-    """
+    """Wanted sizes of cells (cube roots of their volumes) inside a surface: ``least + growth d`` at
+    depth d below it, and ``most`` at the most. In model units."""
 
     least: float
     growth: float
     most: float
-    depth: Floats
-    """Distance to the surface at the nodes of a grid ``(X, Y, Z)``, negative outside."""
-    origin: Floats
-    spacing: float
+    depth: Grid
+    """Distance to the surface, negative outside."""
 
-    def at_nodes(self) -> Floats:
-        return np.minimum(self.least + self.growth * np.abs(self.depth), self.most)
+    @cached_property
+    def wanted(self) -> Floats:
+        """At the nodes of the grid."""
+        return np.minimum(self.least + self.growth * np.maximum(self.depth.values, 0), self.most)
 
     def density(self) -> Grid:
-        """Cells of a centroidal tessellation in space have sizes in proportion to the fifth root
-        of the inverse of the density (Gersho; Du, Faber and Gunzburger 1999)."""
-        wanted = self.at_nodes() / self.least
-        return Grid(np.ascontiguousarray(wanted**-5), self.origin, self.spacing)
+        """A centroidal tessellation under it has cells of the wanted sizes, or all of them so many
+        times larger: sizes go as the fifth root of the inverse density (Gersho; Du, Faber and
+        Gunzburger 1999)."""
+        values = np.ascontiguousarray((self.wanted / self.wanted.min()) ** -5)
+        return Grid(values, self.depth.origin, self.depth.spacing)
 
-    def share(self) -> Grid:
-        """Points per volume, 1 at the most."""
-        wanted = self.at_nodes() / self.least
-        return Grid(np.ascontiguousarray(wanted**-3), self.origin, self.spacing)
+    def count(self, layer: float) -> float:
+        """How many cells fill what lies deeper than ``layer``."""
+        deep = self.depth.values > layer
+        return float((self.wanted[deep] ** -3).sum() * self.depth.spacing**3)
 
-    def count(self, layer: float) -> int:
-        """Cells of that size deeper than ``layer``, where surface cells end."""
-        deep = self.depth > layer
-        return round(float((self.at_nodes()[deep] ** -3).sum() * self.spacing**3))
+    def places(self, random: np.random.Generator, count: int) -> Floats:
+        """Random points ``(count, 3)``, as many per volume as there are cells to be."""
+        inside = np.flatnonzero(self.depth.values.reshape(-1) > -self.depth.spacing)
+        total = np.cumsum(self.wanted.reshape(-1)[inside] ** -3)
+        node = inside[np.searchsorted(total, random.random(count) * total[-1], side="right")]
+        index = np.stack(np.unravel_index(node, self.depth.values.shape), axis=1)
+        within = index + random.random((count, 3)) - 0.5
+        return np.asarray(self.depth.origin + self.depth.spacing * within)
+
+
+def depths(surface: PolygonMesh, guard: Guard, threads: int) -> Grid:
+    """Distances to ``surface`` on a grid around it; inside is where an inside generator is next."""
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    spacing = float(np.cbrt(np.prod(high - low) / NODES))
+    nodes = [
+        at + spacing * np.arange(int(np.ceil((end - at) / spacing)) + 1)
+        for at, end in zip(low, high, strict=True)
+    ]
+    points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1)
+    flat = points.reshape(-1, 3)
+    vertices, triangles, _ = fan_triangles(surface)
+    closest, _ = ClosestPoint(vertices, triangles, 1.0, threads).locate(flat)
+    sign = np.where(guard.inside[guard.tree.query(flat, workers=threads)[1]], 1.0, -1.0)
+    distance = sign * np.linalg.norm(flat - closest, axis=1)
+    return Grid(distance.reshape(points.shape[:3]), low, spacing)

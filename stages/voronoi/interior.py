@@ -20,6 +20,8 @@ SMALLEST_BATCH = 200
 OVERSAMPLING = 3
 INNER_ROUNDS = 50
 OUTER_ROUNDS = 200
+IN_VAIN = 1_000_000
+"""Candidates in a row of which none fits, after which there is no room."""
 BACKTRACKS = 6
 
 
@@ -51,19 +53,26 @@ class Guard:
         first = generators[surface.tetrahedra[sound, 0]]
         return cls(generators, inside, centres, np.linalg.norm(centres - first, axis=1))
 
-    def admits(self, points: Floats, threads: int) -> NDArray[np.bool_]:
-        """Points inside the surface and outside every vertex sphere; they change no face."""
+    @cached_property
+    def powers(self) -> tuple[Any, float]:
+        """A tree over the spheres, and the square of a distance: a point is in one of them if it is
+        nearer than that. In a fourth dimension centres are raised by what radii are smaller than
+        the largest, so that the nearest one is that of the smallest power."""
         from scipy.spatial import cKDTree
 
+        square = self.radii**2
+        most = float(square.max(initial=0.0))
+        raised = np.column_stack([self.centres, np.sqrt(np.maximum(most - square, 0))])
+        return cKDTree(raised), most
+
+    def admits(self, points: Floats, threads: int) -> NDArray[np.bool_]:
+        """Points inside the surface and outside every vertex sphere; they change no face."""
         nearest = self.tree.query(points, workers=threads)[1]
         admitted = np.asarray(self.inside[nearest])
-        candidates = np.flatnonzero(admitted)
-        if len(candidates) == 0:
-            return admitted
-        tree = cKDTree(points[candidates])
-        hits = tree.query_ball_point(self.centres, self.radii, workers=threads)
-        struck = np.concatenate([np.asarray(row, np.int64) for row in hits])
-        admitted[candidates[struck]] = False
+        tree, most = self.powers
+        flat = np.column_stack([points[admitted], np.zeros(int(admitted.sum()))])
+        distance = tree.query(flat, workers=threads)[0]
+        admitted[admitted] = distance**2 > most
         return admitted
 
     def moved(self, points: Floats, step: Floats, threads: int) -> Floats:
@@ -95,18 +104,23 @@ def sample(
     random: Callable[[str, int], np.random.Generator],
     threads: int,
     tick: Callable[[int], None],
+    places: Callable[[np.random.Generator, int], Floats] | None = None,
 ) -> Floats:
-    """``count`` verified interior generators ``(count, 3)``.
+    """``count`` verified interior generators ``(count, 3)`` (the paper's appendix C.2).
 
-    Batches of uniform candidates; those in a vertex sphere go at once, the rest are verified in
-    the Voronoi diagram until none touches an outside cell. Raises InputError when they do not fit.
+    Batches of candidates from ``places``, by default uniform in the bounding box; those in a vertex
+    sphere go at once, the rest are verified in the Voronoi diagram until none touches an outside
+    cell. Raises InputError when they do not fit.
     """
-    inner = guard.generators[guard.inside]
-    low, high = inner.min(axis=0), inner.max(axis=0)
-    found = np.zeros((0, 3))
+    low, high = guard.within.min(axis=0), guard.within.max(axis=0)
+    found, tried = np.zeros((0, 3)), 0
     for round_number in range(OUTER_ROUNDS):
         wanted = max(SMALLEST_BATCH, OVERSAMPLING * (count - len(found)))
-        batch = low + random("candidates", round_number).random((wanted, 3)) * (high - low)
+        generator = random("candidates", round_number)
+        if places is None:
+            batch = low + generator.random((wanted, 3)) * (high - low)
+        else:
+            batch = places(generator, wanted)
         batch = batch[guard.admits(batch, threads)]
         for _ in range(INNER_ROUNDS):
             if len(batch) == 0:
@@ -117,10 +131,13 @@ def sample(
             keep = np.ones(len(batch), dtype=bool)
             keep[offending[offending >= 0]] = False
             batch = batch[keep]
+        tried = 0 if len(batch) else tried + wanted
         found = np.concatenate([found, batch])
         tick(min(len(found), count))
         if len(found) >= count:
             return found[:count]
+        if tried > IN_VAIN:
+            break
     raise InputError(
         f"only {len(found)} of {count} inner generators fit without touching the surface; "
         "lower --inner or raise -n"

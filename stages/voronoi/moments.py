@@ -65,7 +65,11 @@ def _sums(tree: Any, generators: Floats, cells: Ints, density: Grid | None) -> F
 
     edge = np.ptp(generators, axis=0).max()
     low, high = generators.min(axis=0) - edge, generators.max(axis=0) + edge
-    nodes = (np.zeros((0, 0, 0)), np.zeros(3), 1.0) if density is None else density.nodes
+    nodes = (
+        (np.zeros((0, 0, 0)), np.zeros(3), 1.0)
+        if density is None
+        else (density.values, density.origin, density.spacing)
+    )
     sums = np.zeros((len(cells), 6))
     left, neighbours, room = np.arange(len(cells)), NEIGHBOURS, 0
     while len(left):
