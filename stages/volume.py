@@ -172,7 +172,7 @@ def run(context: Context) -> Outcome:
             "smallest_cell_volume": float(volume.min()) * scale,
             "slivers": {
                 "contracted_vertices": result.contracted_vertices,
-                "kept_vertices": result.kept_vertices,
+                "spared_vertices": result.spared_vertices,
                 "smallest_face_area": float(smallest.min()) * frame.spacing**2,
             },
             "cvt_iterations": descent.taken,
@@ -304,7 +304,9 @@ def _descend(
     descent: Descent | PaperDescent
     if found is not None:
         if params.cvt == "paper":
-            descent = PaperDescent.resumed(guard, mean_area, threads, found[1])
+            descent = PaperDescent.resumed(
+                guard, mean_area, threads, params.cvt_iterations, found[1]
+            )
         else:
             descent = Descent.resumed(guard, density, threads, found[1])
     else:
@@ -314,7 +316,7 @@ def _descend(
             sizes.places if sizes and params.grading else None,
         )  # fmt: skip
         if params.cvt == "paper":
-            descent = PaperDescent(guard, points, mean_area, threads)
+            descent = PaperDescent(guard, points, mean_area, threads, params.cvt_iterations)
         else:
             descent = Descent(guard, density, threads, points)
         context.checkpoints.save(0, descent.state())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,9 @@ SHORTENED = 3
 """Times at the most."""
 STOP = 1e-3, 5
 """Descent ends where this part of the energy is not won in so many steps."""
-RATE = 0.02
-"""Of Adam on the paper's loss, in units of the mean size of cells at first."""
+RATE = 0.05
+"""Of Adam on the paper's loss at first, in units of the mean size of cells then; it falls to zero
+along a cosine."""
 
 
 def energy_gradient(points: Floats, moments: Moments) -> Floats:
@@ -142,10 +143,13 @@ class Descent:
 class PaperDescent:
     """Adam on the paper's CVT loss from ``points (M, 3)``, with the guard's halved moves."""
 
-    def __init__(self, guard: Guard, points: Floats, mean_area: float, threads: int) -> None:
+    def __init__(
+        self, guard: Guard, points: Floats, mean_area: float, threads: int, iterations: int
+    ) -> None:
         import torch
 
         from .loop import Moments as AdamMoments
+        from .loop import Schedule
 
         self.guard, self.mean_area, self.threads = guard, mean_area, threads
         self.fixed = torch.as_tensor(guard.within)
@@ -154,16 +158,23 @@ class PaperDescent:
         self.adam = AdamMoments({"points": self.tensor})
         self.residuals: list[float] = []
         first = cell_moments(np.concatenate([points, guard.within]), len(points), threads=threads)
-        self.rate = RATE * float(np.cbrt(first.volume.mean()))
+        rate = RATE * float(np.cbrt(first.volume.mean()))
+        self.schedule = Schedule(iterations, rate, "cosine", 1)
 
     @classmethod
     def resumed(
-        cls, guard: Guard, mean_area: float, threads: int, state: Mapping[str, Any]
+        cls,
+        guard: Guard,
+        mean_area: float,
+        threads: int,
+        iterations: int,
+        state: Mapping[str, Any],
     ) -> PaperDescent:
         """Where ``state`` of an earlier one was taken; it goes on to the same bits."""
-        descent = cls(guard, state["points"], mean_area, threads)
+        descent = cls(guard, state["points"], mean_area, threads, iterations)
         descent.adam.restore(state)
-        descent.rate, descent.residuals = float(state["rate"]), list(state["residuals"])
+        descent.schedule = replace(descent.schedule, rate=float(state["rate"]))
+        descent.residuals = list(state["residuals"])
         return descent
 
     @property
@@ -177,7 +188,7 @@ class PaperDescent:
 
     def state(self) -> dict[str, Any]:
         """Arrays to go on from."""
-        rest = {"rate": np.array(self.rate), "residuals": np.array(self.residuals)}
+        rest = {"rate": np.array(self.schedule.rate), "residuals": np.array(self.residuals)}
         return {**self.adam.as_arrays(), **rest}
 
     def step(self) -> None:
@@ -187,8 +198,9 @@ class PaperDescent:
 
         loss = cvt(self.tensor, self.fixed, self.mean_area)
         gradient = torch.autograd.grad(loss, [self.tensor])
+        rate = self.schedule.rate_at(self.taken)
+        self.adam.step(gradient, self.taken, rate)
         self.residuals.append(float(loss.detach()) * self.mean_area)
-        self.adam.step(gradient, self.taken - 1, self.rate)
         step = self.tensor.detach().numpy() - self.points
         self.points = self.guard.moved(self.points, step, self.threads)
         with torch.no_grad():

@@ -125,12 +125,11 @@ def sample(
         for _ in range(INNER_ROUNDS):
             if len(batch) == 0:
                 break
-            offending = guard.touching_outside(np.concatenate([found, batch])) - len(found)
+            # Those found before need no second look: a cell only shrinks as others come.
+            offending = guard.touching_outside(batch)
             if len(offending) == 0:
                 break
-            keep = np.ones(len(batch), dtype=bool)
-            keep[offending[offending >= 0]] = False
-            batch = batch[keep]
+            batch = np.delete(batch, offending, axis=0)
         tried = 0 if len(batch) else tried + wanted
         found = np.concatenate([found, batch])
         tick(min(len(found), count))

@@ -14,7 +14,8 @@ from .cell_checks import cell_faults
 from .cells import PolyhedralMesh, contracted
 
 PASSES = 12
-UNDONE = 12
+LESS, ATTEMPTS = 0.2, 12
+"""Where a cell would come apart the tolerance is lowered by that factor, so many times."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,8 @@ class Merged:
 
     mesh: PolyhedralMesh
     contracted_vertices: int
-    kept_vertices: int
-    """Left at a sliver because a cell next to it would have come apart."""
+    spared_vertices: int
+    """At which less was contracted, because a cell next to them would have come apart."""
     faults: dict[str, int]
     """Cells that fail each of the checks."""
 
@@ -33,24 +34,25 @@ def merged(mesh: PolyhedralMesh, tolerance: float, points: Floats) -> Merged:
     """Contract edges shorter than ``tolerance`` times the smallest cell beside them, and the
     shortest edge of faces smaller than its square; ``points (C, 3)`` are near the cells.
 
-    The surface stays. Vertices of cells that would fail a check are put back, until none would.
+    The surface stays. At vertices of cells that would fail a check the tolerance is lowered, until
+    none would.
     """
-    size = _vertex_sizes(mesh, np.cbrt(np.maximum(mesh.solids(points)[0], 0)))
-    frozen = np.zeros(mesh.faces.vertex_count, dtype=bool)
-    for attempt in range(UNDONE + 1):
-        target, vertices = _targets(mesh, tolerance * size, frozen | (attempt == UNDONE))
+    least = tolerance * _vertex_sizes(mesh, np.cbrt(np.maximum(mesh.solids(points)[0], 0)))
+    spared = np.zeros(mesh.faces.vertex_count, dtype=bool)
+    for attempt in range(ATTEMPTS + 1):
+        target, vertices = _targets(mesh, least.copy())
         found = contracted(mesh, target, vertices)
         faults = cell_faults(found, points)
-        bad = np.any(list(faults.values()), axis=0)
         moved = np.bincount(target, minlength=len(target))[target] > 1
-        again = _touched(mesh, bad) & moved & ~frozen
+        again = _touched(mesh, np.any(list(faults.values()), axis=0)) & moved
         if not again.any():
             break
-        frozen |= again
+        spared |= again
+        least[again] *= LESS if attempt < ATTEMPTS - 1 else 0.0
     return Merged(
         found,
         int((target != np.arange(len(target))).sum()),
-        int(frozen.sum()),
+        int(spared.sum()),
         {name: int(cells.sum()) for name, cells in faults.items()},
     )
 
@@ -73,7 +75,7 @@ def _touched(mesh: PolyhedralMesh, cells: NDArray[np.bool_]) -> NDArray[np.bool_
     return vertices
 
 
-def _targets(mesh: PolyhedralMesh, least: Floats, frozen: NDArray[np.bool_]) -> tuple[Ints, Floats]:
+def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
     """What each vertex becomes, and where those are; ``least (V,)`` is the shortest edge wanted.
 
     In a pass every vertex goes to the nearest one at the end of an edge that is too short, so that
@@ -93,7 +95,7 @@ def _targets(mesh: PolyhedralMesh, least: Floats, frozen: NDArray[np.bool_]) -> 
         short = length < wanted
         short |= _of_small_faces(now, ends, length, least)
         start, end = np.concatenate([ends[short], ends[short][:, ::-1]]).T
-        free = (start >= fixed) & ~frozen[start] & ~frozen[end]
+        free = (start >= fixed) & (least[start] > 0) & (least[end] > 0)
         if not free.any():
             break
         start, end, far = start[free], end[free], np.tile(length[short], 2)[free]
