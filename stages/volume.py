@@ -134,15 +134,7 @@ def run(context: Context) -> Outcome:
     found = polyhedra.quality(output)
     cell_role = role[mesh.cell_generator]
     scale = frame.spacing**3
-    data = {
-        "generator": mesh.cell_generator,
-        "role": cell_role,
-        "volume": volume * scale,
-        "faces": np.bincount(mesh.half_faces[1], minlength=mesh.cell_count),
-        "non_orthogonality": found.cell_non_orthogonality,
-        "skewness": found.cell_skewness,
-        "aspect": found.aspect,
-    }
+    data = polyhedra.cell_data(mesh, cell_role, volume * scale, found)
     of_surface = np.cbrt(volume[cell_role == 1]).mean()
     of_inner = np.cbrt(volume[cell_role == 2]).mean()
     smallest = face_frames(mesh.faces)[0]

@@ -22,6 +22,7 @@ from vorolight.stages.errors import GateFailure, UsageError, VorolightError
 
 from . import summary
 from .console import Console, table
+from .export import export
 from .parameters import Function, add_options, build, parameter_names
 from .session import (
     Common,
@@ -332,6 +333,7 @@ def sample(
     print(target)
 
 
+app.command()(guarded(export))
 app.command()(guarded(views))
 app.command()(guarded(from_image))
 

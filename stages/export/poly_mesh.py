@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
-from ..surface.polygons import Floats, Ints
 from ..voronoi.cells import PolyhedralMesh
+from .text import lists, rows
 
 PATCH = "surface"
 
@@ -40,22 +38,8 @@ def _header(kind: str, name: str, place: str, note: str = "") -> str:
     return "FoamFile\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n\n"
 
 
-def _labels(values: Ints) -> str:
-    return f"{len(values)}\n(\n" + "\n".join(map(str, values.tolist())) + "\n)\n"
-
-
-def _points(vertices: Floats) -> str:
-    rows = "\n".join(f"({x!r} {y!r} {z!r})" for x, y, z in vertices.tolist())
-    return f"{len(vertices)}\n(\n{rows}\n)\n"
-
-
-def _faces(offsets: Ints, corners: Ints) -> str:
-    words = list(map(str, corners.tolist()))
-    ends = offsets.tolist()
-    rows = "\n".join(
-        f"{end - start}({' '.join(words[start:end])})" for start, end in pairwise(ends)
-    )
-    return f"{len(ends) - 1}\n(\n{rows}\n)\n"
+def _list(count: int, lines: str) -> str:
+    return f"{count}\n(\n{lines}\n)\n"
 
 
 def encode(mesh: PolyhedralMesh) -> dict[str, bytes]:
@@ -67,17 +51,20 @@ def encode(mesh: PolyhedralMesh) -> dict[str, bytes]:
         f"nPoints:{faces.vertex_count}  nCells:{mesh.cell_count}  "
         f"nFaces:{faces.face_count}  nInternalFaces:{inner}"
     )
+    points = "\n".join(f"({line})" for line in rows(faces.vertices).split("\n"))
     patch = (
         f"1\n(\n    {PATCH}\n    {{\n        type patch;\n"
         f"        nFaces {faces.face_count - inner};\n        startFace {inner};\n    }}\n)\n"
     )
     texts = {
-        f"{place}/points": _header("vectorField", "points", place) + _points(faces.vertices),
+        f"{place}/points": _header("vectorField", "points", place)
+        + _list(faces.vertex_count, points),
         f"{place}/faces": _header("faceList", "faces", place)
-        + _faces(faces.face_offsets, faces.face_vertices),
-        f"{place}/owner": _header("labelList", "owner", place, note) + _labels(mesh.owner),
+        + _list(faces.face_count, lists(faces.face_offsets, faces.face_vertices, "(", ")")),
+        f"{place}/owner": _header("labelList", "owner", place, note)
+        + _list(faces.face_count, rows(mesh.owner[:, None])),
         f"{place}/neighbour": _header("labelList", "neighbour", place, note)
-        + _labels(mesh.neighbour[:inner]),
+        + _list(inner, rows(mesh.neighbour[:inner, None])),
         f"{place}/boundary": _header("polyBoundaryMesh", "boundary", place) + patch,
         **{
             f"system/{name}": _header("dictionary", name, "system") + text

@@ -1,4 +1,4 @@
-"""VTU: polyhedral cells for ParaView and other VTK readers."""
+"""VTU: polyhedral cells, or tetrahedra, for ParaView and other VTK readers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..surface.polygons import Floats, Ints
 from ..voronoi.cells import PolyhedralMesh
 
-POLYHEDRON = 42
+TETRAHEDRON, POLYHEDRON = 10, 42
 
 
 def _streams(mesh: PolyhedralMesh) -> tuple[Ints, Ints, Ints, Ints]:
@@ -48,16 +48,42 @@ def _streams(mesh: PolyhedralMesh) -> tuple[Ints, Ints, Ints, Ints]:
 def encode(mesh: PolyhedralMesh, cell_data: Mapping[str, Floats | Ints]) -> bytes:
     """The VTU bytes of ``mesh``; ``cell_data`` maps names to arrays ``(C,)``."""
     stream, face_offsets, connectivity, offsets = _streams(mesh)
-    count = len(mesh.cell_generator)
+    cells = {
+        "connectivity": connectivity,
+        "offsets": offsets,
+        "types": np.full(mesh.cell_count, POLYHEDRON, dtype="u1"),
+        "faces": stream,
+        "faceoffsets": face_offsets,
+    }
+    return _encode(mesh.faces.vertices, cells, cell_data)
+
+
+def encode_tetrahedra(
+    vertices: Floats, tetrahedra: Ints, cell_data: Mapping[str, Floats | Ints]
+) -> bytes:
+    """The VTU bytes of ``tetrahedra (T, 4)``; ``cell_data`` maps names to arrays ``(T,)``."""
+    count = len(tetrahedra)
+    cells = {
+        "connectivity": tetrahedra.reshape(-1),
+        "offsets": 4 * np.arange(1, count + 1),
+        "types": np.full(count, TETRAHEDRON, dtype="u1"),
+    }
+    return _encode(vertices, cells, cell_data)
+
+
+def _encode(
+    vertices: Floats, cells: Mapping[str, Any], cell_data: Mapping[str, Floats | Ints]
+) -> bytes:
     blocks: list[bytes] = []
     position = 0
 
-    def array(name: str, values: np.ndarray[Any, Any], components: int = 1) -> str:
+    def array(name: str, values: Any, components: int = 1) -> str:
         nonlocal position
-        kind = {"f8": "Float64", "i8": "Int64", "u1": "UInt8"}[values.dtype.str[1:]]
-        data = np.ascontiguousarray(values).tobytes()
+        numbers = {"f": ("<f8", "Float64"), "i": ("<i8", "Int64"), "u": ("u1", "UInt8")}
+        kind, called = numbers[values.dtype.kind]
+        data = np.ascontiguousarray(values, dtype=kind).tobytes()
         line = (
-            f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" '
+            f'<DataArray type="{called}" Name="{name}" NumberOfComponents="{components}" '
             f'format="appended" offset="{position}"/>\n'
         )
         blocks.append(np.uint64(len(data)).tobytes() + data)
@@ -67,19 +93,14 @@ def encode(mesh: PolyhedralMesh, cell_data: Mapping[str, Floats | Ints]) -> byte
     text = (
         '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="1.0" '
         'byte_order="LittleEndian" header_type="UInt64">\n<UnstructuredGrid>\n'
-        f'<Piece NumberOfPoints="{mesh.faces.vertex_count}" NumberOfCells="{count}">\n<Points>\n'
+        f'<Piece NumberOfPoints="{len(vertices)}" NumberOfCells="{len(cells["offsets"])}">\n'
+        "<Points>\n"
     )
-    text += array("Points", mesh.faces.vertices.astype("<f8"), 3)
+    text += array("Points", vertices, 3)
     text += "</Points>\n<Cells>\n"
-    text += array("connectivity", connectivity.astype("<i8"))
-    text += array("offsets", offsets.astype("<i8"))
-    text += array("types", np.full(count, POLYHEDRON, dtype="u1"))
-    text += array("faces", stream.astype("<i8"))
-    text += array("faceoffsets", face_offsets.astype("<i8"))
+    text += "".join(array(name, values) for name, values in cells.items())
     text += "</Cells>\n<CellData>\n"
-    for name, values in cell_data.items():
-        kind = "<f8" if np.asarray(values).dtype.kind == "f" else "<i8"
-        text += array(name, np.asarray(values).astype(kind))
+    text += "".join(array(name, np.asarray(values)) for name, values in cell_data.items())
     text += "</CellData>\n</Piece>\n</UnstructuredGrid>\n"
     text += '<AppendedData encoding="raw">\n_'
     return text.encode("ascii") + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"

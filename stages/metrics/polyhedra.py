@@ -178,3 +178,16 @@ def summary(found: Quality) -> dict[str, Any]:
             "size_ratio",
         )
     }  # fmt: skip
+
+
+def cell_data(mesh: PolyhedralMesh, role: Ints, volume: Floats, found: Quality) -> dict[str, Any]:
+    """What files hold of each cell ``(C,)``; ``role (C,)`` is 1 at the surface, 2 inside."""
+    return {
+        "generator": mesh.cell_generator,
+        "role": role,
+        "volume": volume,
+        "faces": np.bincount(mesh.half_faces[1], minlength=mesh.cell_count),
+        "non_orthogonality": found.cell_non_orthogonality,
+        "skewness": found.cell_skewness,
+        "aspect": found.aspect,
+    }

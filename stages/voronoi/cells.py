@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,49 @@ class PolyhedralMesh:
         back = np.arange(len(face)) >= self.faces.face_count
         order = np.lexsort([face, cell])
         return face[order], cell[order], back[order]
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> PolyhedralMesh:
+        """The cells that stage volume stored."""
+        faces, neighbour = PolygonMesh.from_arrays(arrays), arrays["face_neighbour"]
+        surface = faces.select_faces(neighbour < 0).face_vertices
+        count = 1 + int(surface.max(initial=-1))
+        return cls(faces, arrays["face_owner"], neighbour, arrays["cell_generator"], count)
+
+    def select_cells(self, keep: NDArray[np.bool_]) -> PolyhedralMesh:
+        """The cells for which ``keep (C,)`` is true; faces towards others become boundary."""
+        owner, beyond = keep[self.owner], (self.neighbour >= 0) & keep[self.neighbour]
+        number = np.append(np.cumsum(keep) - 1, -1)
+        number[:-1][~keep] = -1
+        inner = self.faces.select_faces(owner & beyond)
+        # The surface's own faces come first, then those that are cut free, turned outward.
+        parts = [
+            self.faces.select_faces(owner & (self.neighbour < 0)),
+            self.faces.select_faces(owner & (self.neighbour >= 0) & ~beyond),
+            _turned(self.faces.select_faces(~owner & beyond)),
+        ]
+        sides = [
+            self.owner[owner & (self.neighbour < 0)],
+            self.owner[owner & (self.neighbour >= 0) & ~beyond],
+            self.neighbour[~owner & beyond],
+        ]
+        both = owner & beyond
+        corners = np.concatenate([part.face_vertices for part in parts])
+        sizes = np.concatenate([part.valences for part in parts])
+        # Vertices of the new boundary come first, in their order.
+        first = np.zeros(self.faces.vertex_count, dtype=bool)
+        first[corners] = True
+        order = np.concatenate([np.flatnonzero(first), np.flatnonzero(~first)])
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        vertices = self.faces.vertices[order]
+        return _assembled(
+            PolygonMesh(vertices, inner.face_offsets, place[inner.face_vertices]),
+            number[self.owner[both]], number[self.neighbour[both]],
+            PolygonMesh(vertices[: int(first.sum())], offsets, place[corners]),
+            number[np.concatenate(sides)], self.cell_generator[keep],
+        )  # fmt: skip
 
     def with_vertices(self, vertices: Floats) -> PolyhedralMesh:
         """The same cells over other positions ``(V, 3)``."""
@@ -148,6 +193,14 @@ def raw_cells(
         faces.select_faces(~outer), owner[~outer], neighbour[~outer],
         boundary.mesh, owner[outer][place], cell_generator,
     )  # fmt: skip
+
+
+def _turned(mesh: PolygonMesh) -> PolygonMesh:
+    """The faces seen from behind, each beginning at the same corner."""
+    starts, face = mesh.face_offsets[:-1], mesh.corner_faces
+    within = np.arange(len(face)) - starts[face]
+    back = starts[face] + (mesh.valences[face] - within) % mesh.valences[face]
+    return PolygonMesh(mesh.vertices, mesh.face_offsets, mesh.face_vertices[back])
 
 
 def _places(pairs: Ints, wanted: Ints) -> Ints | None:

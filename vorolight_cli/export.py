@@ -1,0 +1,59 @@
+"""``vorolight export``: the cells of a run in other programs' formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.errors import ArtifactError
+
+from .session import Quiet, Run, Verbose
+
+FORMATS = "vtu|openfoam|ovm|vtu-tetrahedra|msh|inp|ply|hdf5"
+
+
+def export(
+    target: Annotated[
+        Path,
+        typer.Argument(help="A file to write, .vtu, .ovm, .msh, .inp, .ply or .h5; or a folder."),
+    ],
+    run: Run = None,
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help=f"[{FORMATS}] Default: by the suffix; openfoam takes a folder.",
+            show_default=False,
+        ),
+    ] = None,
+    cut: Annotated[
+        str | None,
+        typer.Option(
+            help="Only the cells whose generators lie below x=0.1 (or y, z), or above with x>0.1.",
+            show_default=False,
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write the polyhedral cells of stage volume for other programs.
+
+    Example: vorolight export case --format openfoam --run bunny.vorolight
+    """
+    from vorolight.stages import standing
+    from vorolight.stages.export.volume import export as write
+    from vorolight.stages.export.volume import format_of
+
+    form = format_of(target, format)
+    folder = RunFolder.locate(run, None)
+    for found in standing.overall(standing.Session(folder=folder)):
+        if found.stage.name == "volume" and found.manifest is not None and found.reason:
+            raise ArtifactError(
+                f"{folder.path}: the volume is stale ({found.reason}); run: vorolight volume"
+            )
+    written = write(folder, target, form, cut, force)
+    if not quiet:
+        print(f"{target}: {written}")
