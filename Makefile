@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages side-by-side table table-clouds table-views table-photos bench-images table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos bench-images table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -123,6 +123,11 @@ table-inputs:
 # Loss against iterations, by several optimisers of the first surface.
 bench-init: $(INPUT) $(VENV)/installed
 	$(BIN)/python tests/benchmarks/first_surface.py $(INPUT) -n $(N)
+
+# Inner cells: time, memory, how far the tessellation is, and what checkMesh says if it is there.
+INNER_COUNTS ?= 800 20000
+bench-volume: $(INPUT) $(VENV)/installed
+	$(BIN)/python tests/benchmarks/volume.py $(INPUT) -n $(N) --inner $(INNER_COUNTS)
 
 # Initial surface, the paper's training, triangles and polygons, for the eye.
 OUTPUT ?= build/pictures

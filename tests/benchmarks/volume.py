@@ -1,0 +1,169 @@
+"""Stage volume as the number of inner cells grows: time, memory, how far the CVT energy is from
+where it stops falling, Lloyd's iteration for as many steps, and OpenFOAM's checkMesh if it is
+installed.
+
+Run with ``make bench-volume INPUT=bunny.obj INNER_COUNTS="800 20000 100000"``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from results import write
+
+from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.optimize.cvt import Descent
+from vorolight.stages.surface.model_frame import ModelFrame
+from vorolight.stages.voronoi.interior import Guard
+from vorolight.stages.voronoi.moments import cell_moments
+
+DEBIAN = Path("/usr/share/openfoam")
+"""Where Debian's OpenFOAM has its settings, which it does not find by itself."""
+
+
+def call(*words: object) -> None:
+    command = [sys.executable, "-m", "vorolight.cli", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, words))}: {done.stderr.strip()[-300:]}")
+
+
+def energy(guard: Guard, points: np.ndarray, threads: int) -> float:
+    """Of all cells inside the surface; those of its own generators end at the outside ones'."""
+    everything = np.concatenate([points, guard.within, guard.generators[~guard.inside]])
+    count = len(points) + len(guard.within)
+    return float(cell_moments(everything, count, threads=threads).energy.sum())
+
+
+def lloyd(guard: Guard, points: np.ndarray, steps: int, threads: int) -> np.ndarray:
+    for _ in range(steps):
+        generators = np.concatenate([points, guard.within])
+        moments = cell_moments(generators, len(points), threads=threads)
+        points = guard.moved(points, moments.centroid - points, threads)
+    return points
+
+
+def convergence(run: Path, long: int, threads: int) -> dict[str, Any]:
+    """What more steps would win, and what Lloyd's would from the same start."""
+    folder = RunFolder(run)
+    frame = ModelFrame.of(folder.arrays("classify", "classify"))
+    arrays, trained = (folder.arrays(stage, stage) for stage in ("volume", "sphere-train"))
+    within = frame.model_from_input(trained["generators/inside"])
+    without = frame.model_from_input(trained["generators/outside"])
+    guard = Guard(
+        np.concatenate([within, without]),
+        np.arange(len(within) + len(without)) < len(within),
+        frame.model_from_input(trained["spheres/center"]),
+        trained["spheres/radius"] / frame.spacing,
+    )
+    points = frame.model_from_input(arrays["generators"][arrays["generator_role"] == 2])
+    reached = energy(guard, points, threads)
+    steps = len(arrays["history"]) - 1
+    further = Descent(guard, None, threads, points)
+    for _ in range(long):
+        further.step()
+    # Both from points that are spread at random.
+    random = np.random.default_rng(0)
+    start = guard.moved(points, random.normal(size=points.shape), threads)
+    timed: dict[str, Any] = {}
+    begun = time.perf_counter()
+    descent = Descent(guard, None, threads, start)
+    for _ in range(steps):
+        descent.step()
+    timed["quasi_newton_seconds"] = round(time.perf_counter() - begun, 2)
+    timed["quasi_newton_energy"] = energy(guard, descent.points, threads)
+    begun = time.perf_counter()
+    slow = lloyd(guard, start, steps, threads)
+    timed["lloyd_seconds"] = round(time.perf_counter() - begun, 2)
+    timed["lloyd_energy"] = energy(guard, slow, threads)
+    return {
+        "steps": steps,
+        "energy_over_long_run": reached / energy(guard, further.points, threads),
+        **timed,
+    }
+
+
+def check_mesh(run: Path) -> dict[str, Any] | None:
+    """What checkMesh complains about; None where it is not installed."""
+    if shutil.which("checkMesh") is None:
+        return None
+    case = run.parent / "case"
+    shutil.rmtree(case, ignore_errors=True)
+    call("export", case, "--format", "openfoam", "--run", run)
+    places = {"WM_PROJECT_DIR": str(DEBIAN)} if DEBIAN.is_dir() else {}
+    done = subprocess.run(
+        ["checkMesh", "-allTopology"], cwd=case, capture_output=True, text=True,
+        env={**places, **os.environ},
+    )  # fmt: skip
+    lines = [line.strip() for line in done.stdout.splitlines()]
+    if "End" not in lines:
+        raise SystemExit(f"checkMesh: {done.stdout[-500:]}{done.stderr[-500:]}")
+    return {
+        "said": [line for line in lines if line.startswith(("*", "Failed"))],
+        "passed": "Mesh OK." in lines,
+    }
+
+
+def row(run: Path, words: list[object], long: int, threads: int) -> dict[str, Any]:
+    call("volume", "--run", run, "--force", "--quiet", *words)
+    record = json.loads((run / "volume.json").read_text())
+    metrics, volatile = record["metrics"], record["volatile"]
+    quality = metrics["quality"]
+    found: dict[str, Any] = {
+        "options": " ".join(map(str, words)),
+        "inner": metrics["inner_generators"],
+        "cells": metrics["cells"],
+        "seconds": round(volatile["wall_seconds"], 1),
+        "peak_memory_mb": round(volatile["peak_memory_mb"]),
+        "faults": sum(metrics["faults"].values()),
+        **{
+            key: metrics[key]
+            for key in (
+                "volume_error", "centroid_distance_mean", "surface_to_inner_size",
+                "neighbours_within_factor_2",
+            )
+        },
+        "non_orthogonality_max": quality["non_orthogonality"]["most"],
+        "skewness_p99": quality["skewness"]["p99"],
+        "skewness_max": quality["skewness"]["most"],
+        "check_mesh": check_mesh(run),
+    }  # fmt: skip
+    if long and "--grading" not in words:
+        found |= convergence(run, long, threads)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("shape")
+    parser.add_argument("-n", type=int, default=25)
+    parser.add_argument("--inner", type=int, nargs="+", default=[800, 20_000])
+    parser.add_argument("--grading", type=float, default=0.3)
+    parser.add_argument("--long", type=int, default=100, help="more steps, to see what they win")
+    parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
+    given = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        call("classify", given.shape, "-n", given.n, "--run", run, "--quiet")
+        call("init", "--run", run, "--quiet")
+        call("sphere-train", "--run", run, "--quiet")
+        options: list[list[object]] = [["--inner", count] for count in given.inner]
+        for words in [*options, ["--grading", given.grading]]:
+            rows.append(row(run, words, given.long, given.threads))
+            print(json.dumps(rows[-1]), flush=True)
+    write(f"volume-{Path(given.shape).stem}", rows)
+
+
+if __name__ == "__main__":
+    main()
