@@ -104,8 +104,10 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
     "volume": {
         "generators": Layout(("N", 3), "f", "generators"),
         "generator_role": Layout(("N",), "i", "0 outside, 1 surface, 2 inner"),
-        **_polygons("", "v", "polyhedral mesh"),
-        "face_owner": Layout(("Fv",), "i", "cell the face's normal leaves"),
+        **_polygons("", "v", "cells; the surface's own ones first"),
+        "face_owner": Layout(
+            ("Fv",), "i", "cell the face's normal leaves; sorted, faces of the surface last"
+        ),
         "face_neighbour": Layout(("Fv",), "i", "cell on the other side, -1 outside"),
         "cell_generator": Layout(("C",), "i", "generator of each cell"),
         "cell_volume": Layout(("C",), "f", "volume of each cell"),

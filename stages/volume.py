@@ -323,8 +323,15 @@ def _descend(
 
 
 def _memory(context: Context) -> float:
-    boundary = 2 * len(context.arrays("sphere-train")["generators/inside"])
-    return peak(200.0, 100.0, 11.0, boundary + (context.params.inner or DEFAULT_INNER))
+    params, faces = context.params, len(context.arrays("sphere-train")["generators/inside"])
+    inner = params.inner or 0
+    if params.spacing:
+        voxels = context.arrays("classify")
+        inner += float(voxels["interior"].sum()) * (voxels["spacing"] / params.spacing) ** 3
+    if params.grading and not params.inner:
+        # Above each face cells grow from 1.5 times its size: the sum of that series.
+        inner += faces / (4.5 * params.grading)
+    return peak(200.0, 100.0, 14.0, 2 * faces + (inner or DEFAULT_INNER))
 
 
 STAGE = Stage(

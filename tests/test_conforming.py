@@ -281,8 +281,8 @@ def test_losses_that_an_input_does_not_have(tmp_path: Path, cli: Cli) -> None:
 
 
 def test_polygons_of_a_torus(tmp_path: Path, cli: Cli) -> None:
-    words = ["-n", 12, "--init-iterations", 3, "--faces", "polygon", "--until", "sphere-train"]
-    done = cli("run", "torus", *words, cwd=tmp_path)
+    words = ["-n", 12, "--init-iterations", 3, "--faces", "polygon", "--until", "volume"]
+    done = cli("run", "torus", *words, "--inner", 60, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = result(tmp_path / "torus.vorolight")
     assert found["conformity"]["pair_area_share"] > 0.97
@@ -294,6 +294,13 @@ def test_polygons_of_a_torus(tmp_path: Path, cli: Cli) -> None:
     assert found["as_written"]["closed"]
     assert (found["topology"]["euler_number"], found["topology"]["components"]) == (0, 1)
     assert found["pairs"] == {"relabelled": 0, "replaced": 0, "undecided": 0}
+    # Without a certificate the cells end at the surface that was written, and it is said.
+    assert "no certificate" in done.stderr
+    assert "the cells end at the interface of its generators" in done.stderr
+    volume = result(tmp_path / "torus.vorolight", "volume")
+    assert volume["boundary_faces"] == found["written_faces"]
+    assert volume["volume_error"] < 1e-9
+    assert volume["faults"]["open"] == 0
 
 
 def test_many_inner_generators_keep_the_certificate(tmp_path: Path, cli: Cli) -> None:

@@ -13,6 +13,7 @@ from ..artifacts.manifest import Manifest, read
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
 from ..render import image_file
+from . import cells
 from .pictures import PICTURES
 
 STAGES = ("classify", "init", "sphere-train", "volume", "shade", "fabricate")
@@ -31,6 +32,7 @@ img{max-width:100%;border-radius:6px}figure{margin:1rem 0}figcaption{opacity:.75
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.92rem}
 td,th{padding:.2rem .8rem .2rem 0;text-align:left;border-bottom:1px solid #8884}
 .warn{border-left:4px solid #d90;padding:.2rem .8rem;margin:.4rem 0}
+.histograms{display:flex;flex-wrap:wrap;gap:0 1.5rem}
 details{margin:.4rem 0}summary{cursor:pointer}.scroll{overflow-x:auto}
 """
 
@@ -63,6 +65,9 @@ def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = N
     for name, manifest in manifests.items():
         if name.startswith("evaluate-"):
             body.append(_evaluation(name, manifest))
+    # A volume from before there were these figures is stale, and said to be.
+    if "volume" in manifests and "quality" in manifests["volume"]["metrics"]:
+        body.append(cells.section(manifests["volume"]["metrics"]))
     for stage in ("init", "sphere-train"):
         if stage in manifests:
             body.append(_curves(folder, stage))
@@ -95,7 +100,12 @@ def _shown(value: Any) -> str:
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
     if isinstance(value, dict):
-        return [row for key, item in value.items() for row in _flat(item, f"{prefix}{key}.")]
+        return [
+            row
+            for key, item in value.items()
+            if key != "histogram"
+            for row in _flat(item, f"{prefix}{key}.")
+        ]
     return [(prefix.rstrip("."), value)]
 
 
