@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats, PolygonMesh
     from .voronoi.boundary import Boundary
+    from .voronoi.cleanup import CleanSurface
     from .voronoi.grading import Sizes
+    from .voronoi.interface import VoronoiSurface
     from .voronoi.interior import Guard
 
 CHECKPOINT_EVERY = 10
@@ -60,7 +62,7 @@ def run(context: Context) -> Outcome:
     """The paper's section 3.6 and appendix C.2; quasi-Newton steps lower the CVT energy."""
     import numpy as np
 
-    from .errors import InputError, UsageError
+    from .errors import InputError, NumericalFailure, UsageError
     from .export import vtu
     from .metrics import polyhedra
     from .surface.geometry import enclosed_volume, face_frames, fan_triangles
@@ -101,7 +103,21 @@ def run(context: Context) -> Outcome:
     generators = np.concatenate([points, bounded.guard.generators])
     inside = np.concatenate([np.ones(len(points), bool), bounded.guard.inside])
     bounded.recheck(points)
-    raw = raw_cells(generators, inside, delaunay(generators), bounded.boundary, len(points))
+    diagram = delaunay(generators)
+    warnings, changed = list(bounded.warnings), 0
+    try:
+        raw = raw_cells(generators, inside, diagram, bounded.boundary, len(points))
+    except NumericalFailure:
+        if bounded.again is None:
+            raise
+        # Where many generators lie on one sphere the diagram is divided in another way than before.
+        actual, changed = bounded.again(generators, inside, diagram)
+        raw = raw_cells(generators, inside, diagram, actual)
+        surface = actual.mesh
+        warnings.append(
+            f"{changed} faces of the surface have other corners than as written: its diagram is "
+            "degenerate there, and no certificate says which is right"
+        )
     at = generators[raw.cell_generator]
     result = merged(raw, params.sliver, at)
     mesh = result.mesh
@@ -110,7 +126,6 @@ def run(context: Context) -> Outcome:
     role = np.where(inside, 1, 0)
     role[: len(points)] = 2
 
-    warnings = list(bounded.warnings)
     faults = {name: cells for name, cells in result.faults.items() if cells}
     if faults:
         named = ", ".join(f"{cells} {name.replace('_', ' ')}" for name, cells in faults.items())
@@ -127,9 +142,9 @@ def run(context: Context) -> Outcome:
     history = np.array([*descent.residuals, (offset**2).mean()]) / mean_area
     inner_size = float(np.cbrt(moments.volume.mean()))
 
-    # The surface's vertices are those of the file, to the bit.
     placed = frame.input_from_model(mesh.faces.vertices)
-    placed[: written.vertex_count] = written.vertices
+    if not changed:  # the surface's vertices are those of the file, to the bit
+        placed[: written.vertex_count] = written.vertices
     output = mesh.with_vertices(placed)
     found = polyhedra.quality(output)
     cell_role = role[mesh.cell_generator]
@@ -157,7 +172,8 @@ def run(context: Context) -> Outcome:
             "boundary_faces": int((mesh.neighbour < 0).sum()),
             "open_cells": result.faults["open"],
             "faults": result.faults,
-            "surface_unchanged": True,
+            "surface_unchanged": changed == 0,
+            "changed_faces": changed,
             "cell_volume_sum": float(volume.sum()) * scale,
             "enclosed_volume": enclosed * scale,
             "volume_error": abs(float(volume.sum()) / enclosed - 1),
@@ -191,6 +207,9 @@ class _Bounded:
     recheck: Callable[[Floats], None]
     """Called with the inner generators; raises NumericalFailure where they change the surface."""
     warnings: list[str]
+    again: Callable[[Floats, Any, Any], tuple[Boundary, int]] | None = None
+    """Called with all generators, their labels and their diagram, it gives the boundary that is
+    there, and how many faces differ from those written; None where there is a certificate."""
 
 
 def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Bounded:
@@ -234,11 +253,30 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     raw = interface(boundary, labels)
     drawn = metrics["merged_within"] > 0
     anchors = PolygonMesh.from_arrays(trained, "trained/").vertices
-    cleaned = clean(
-        raw, 1.0, anchors=frame.model_from_input(anchors) if drawn else None,
-        reach=recorded["params"]["merge"] if drawn else 0.0,
-    )  # fmt: skip
-    made = Boundary.cleaned(raw, labels, cleaned, surface, SAME)
+
+    def cleaned(raw: VoronoiSurface) -> CleanSurface:
+        """As sphere-train did."""
+        return clean(
+            raw, 1.0, anchors=frame.model_from_input(anchors) if drawn else None,
+            reach=recorded["params"]["merge"] if drawn else 0.0,
+        )  # fmt: skip
+
+    def again(generators: Floats, inside: Any, diagram: Any) -> tuple[Boundary, int]:
+        now = interface(generators, inside, diagram)
+        found = cleaned(now)
+        actual = Boundary.cleaned(now, inside, found, found.mesh, SAME)
+        assert actual is not None  # it is compared with itself
+        assert made is not None
+        added = len(generators) - len(boundary)
+        keys = [
+            ends @ np.array([len(generators), 1])
+            for ends in (actual.generators, made.generators + added)
+        ]
+        _, here, there = np.intersect1d(*keys, return_indices=True)
+        other = int((actual.mesh.valences[here] != made.mesh.valences[there]).sum())
+        return actual, actual.mesh.face_count - len(here) + other
+
+    made = Boundary.cleaned(raw, labels, cleaned(raw), surface, SAME)
     if made is None:
         raise NumericalFailure(
             f"{context.folder.file('sphere-train', 'ply')}: is not the interface of its "
@@ -246,10 +284,10 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
         )
     warning = (
         f"the surface has no certificate ({', '.join(metrics['certificate']['failed'])} fails): "
-        "the cells end at the interface of its generators, which is what was written"
+        "the cells end at the interface of its generators"
     )
     guard = Guard.of(boundary, labels, raw)
-    return _Bounded(guard, made, lambda points: None, [warning])
+    return _Bounded(guard, made, lambda points: None, [warning], again)
 
 
 def _sizes(
@@ -276,8 +314,11 @@ def _sizes(
     below = (offset / 2 + BELOW * least) / max(1 - BELOW * params.grading, BELOW)
     wanted = sizes.count(min(below, offset / 2 + BELOW * most))
     if not 1 <= wanted <= MOST_INNER:
+        asked = (
+            f"--spacing {params.spacing:g}" if params.spacing else f"--grading {params.grading:g}"
+        )
         raise InputError(
-            f"--spacing {params.spacing:g}: asks for {wanted:.3g} inner generators, which must be "
+            f"{asked}: asks for {wanted:.3g} inner generators, which must be "
             f"from 1 to {MOST_INNER}; {'lower' if wanted < 1 else 'raise'} it"
         )
     return sizes, round(wanted)

@@ -39,8 +39,9 @@ def of(manifest: dict[str, Any], console: Console) -> str:
             )
         ),
         "volume": lambda: (
-            f"{metrics['cells']} cells, {sum(metrics['faults'].values())} unsound, surface "
-            f"unchanged, volume {metrics['cell_volume_sum']:.6g}; generators within "
+            f"{metrics['cells']} cells, {sum(metrics['faults'].values())} unsound, "
+            f"{metrics['changed_faces'] or 'no'} faces of the surface changed, volume "
+            f"{metrics['cell_volume_sum']:.6g}; generators within "
             f"{100 * metrics['centroid_distance_mean']:.2g} % of a cell of their centroids"
         ),
         "shade": lambda: (

@@ -23,7 +23,10 @@ def section(metrics: Mapping[str, Any]) -> str:
     """HTML of what stage volume measured."""
     quality = metrics["quality"]
     facts = [
-        ("boundary faces", "the surface's own, all of them, vertices to the bit"),
+        (
+            "boundary faces that are not the surface's as written",
+            f"{metrics['changed_faces']} of {metrics['boundary_faces']}",
+        ),
         ("cells that fail a check", str(sum(metrics["faults"].values()))),
         ("volume of the cells over the enclosed one, less 1", f"{metrics['volume_error']:.1e}"),
         ("CVT steps", f"{metrics['cvt_iterations']}"),
