@@ -104,7 +104,7 @@ def run(context: Context) -> Outcome:
     inside = np.concatenate([np.ones(len(points), bool), bounded.guard.inside])
     bounded.recheck(points)
     diagram = delaunay(generators)
-    warnings, changed = list(bounded.warnings), 0
+    warnings, as_written, changed = list(bounded.warnings), True, 0
     try:
         raw = raw_cells(generators, inside, diagram, bounded.boundary, len(points))
     except NumericalFailure:
@@ -113,7 +113,7 @@ def run(context: Context) -> Outcome:
         # Where many generators lie on one sphere the diagram is divided in another way than before.
         actual, changed = bounded.again(generators, inside, diagram)
         raw = raw_cells(generators, inside, diagram, actual)
-        surface = actual.mesh
+        surface, as_written = actual.mesh, False
         warnings.append(
             f"{changed} faces of the surface have other corners than as written: its diagram is "
             "degenerate there, and no certificate says which is right"
@@ -143,7 +143,7 @@ def run(context: Context) -> Outcome:
     inner_size = float(np.cbrt(moments.volume.mean()))
 
     placed = frame.input_from_model(mesh.faces.vertices)
-    if not changed:  # the surface's vertices are those of the file, to the bit
+    if as_written:  # the surface's vertices are those of the file, to the bit
         placed[: written.vertex_count] = written.vertices
     output = mesh.with_vertices(placed)
     found = polyhedra.quality(output)
@@ -172,7 +172,7 @@ def run(context: Context) -> Outcome:
             "boundary_faces": int((mesh.neighbour < 0).sum()),
             "open_cells": result.faults["open"],
             "faults": result.faults,
-            "surface_unchanged": changed == 0,
+            "surface_unchanged": as_written,
             "changed_faces": changed,
             "cell_volume_sum": float(volume.sum()) * scale,
             "enclosed_volume": enclosed * scale,
