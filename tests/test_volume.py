@@ -30,8 +30,10 @@ from vorolight.stages.surface.geometry import enclosed_volume, face_frames, fan_
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.voronoi.boundary import Boundary
 from vorolight.stages.voronoi.cells import PolyhedralMesh, raw_cells
+from vorolight.stages.voronoi.cleanup import clean
 from vorolight.stages.voronoi.delaunay import delaunay
 from vorolight.stages.voronoi.grading import Sizes, depths
+from vorolight.stages.voronoi.interface import interface
 from vorolight.stages.voronoi.interior import Guard, sample
 from vorolight.stages.voronoi.slivers import merged
 
@@ -470,3 +472,28 @@ def test_export_says_what_is_wrong(heart_run: Path, cli: Cli, tmp_path: Path) ->
         assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
         assert said in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_degenerate_surface_without_certificate_bounds_cells() -> None:
+    # All vertices but a few have more than four generators on their sphere, which a diagram with
+    # inner ones may divide otherwise: vertices are known by where they are.
+    _, guard = pairs_on_a_sphere(120)
+    generators = guard.generators.copy()
+    generators[3] *= 1.002
+    raw = interface(generators, guard.inside)
+    cleaned = clean(raw, spacing=1.0)
+    boundary = Boundary.cleaned(raw, guard.inside, cleaned, cleaned.mesh, 1e-6)
+    assert boundary is not None
+    inner = sample(
+        Guard.of(generators, guard.inside, raw), 25, randomness, 1, lambda _: None
+    )  # fmt: skip
+    everything = np.concatenate([inner, generators])
+    inside = np.concatenate([np.ones(25, bool), guard.inside])
+    cells = raw_cells(everything, inside, delaunay(everything), boundary, 25)
+    assert np.array_equal(cells.boundary.face_vertices, cleaned.mesh.face_vertices)
+    volume, _ = cells.solids(everything[cells.cell_generator])
+    enclosed = enclosed_volume(*fan_triangles(cleaned.mesh)[:2])
+    assert volume.sum() == pytest.approx(enclosed, rel=1e-12)
+    # A surface that is not that interface is not taken for it.
+    moved = cleaned.mesh.with_vertices(cleaned.mesh.vertices * 1.001)
+    assert Boundary.cleaned(raw, guard.inside, cleaned, moved, 1e-6) is None
