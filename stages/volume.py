@@ -372,7 +372,7 @@ def _memory(context: Context) -> float:
     if params.grading and not params.inner:
         # Above each face cells grow from 1.5 times its size: the sum of that series.
         inner += faces / (4.5 * params.grading)
-    return peak(300.0, 200.0, 25.0, faces + (inner or DEFAULT_INNER))
+    return peak(300.0, 200.0, 25.0, faces + min(inner or DEFAULT_INNER, MOST_INNER))
 
 
 STAGE = Stage(

@@ -252,7 +252,7 @@ def test_options_that_contradict_are_refused(heart_run: Path, cli: Cli) -> None:
         (["--spacing", 0], "--spacing 0: must be more than 0"),
         (["--spacing", 0.1, "--inner", 5], "--spacing: says how many inner generators there are"),
         (["--grading", 0.3, "--cvt", "paper"], "the paper's CVT loss has no density"),
-        (["--spacing", 1e-5], "asks for"),
+        (["--spacing", 1e-5, "--max-memory", 1e6], "asks for"),
         (["--spacing", 50], "asks for 0 inner generators"),
     ):
         done = cli("volume", *words, "--run", heart_run, cwd=heart_run.parent)
