@@ -126,7 +126,7 @@ bench-init: $(INPUT) $(VENV)/installed
 
 # Inner cells: time, memory, how far the tessellation is, and what checkMesh says if it is there.
 INNER_COUNTS ?= 800 20000
-bench-volume: $(INPUT) $(VENV)/installed
+bench-volume: $(SAMPLE) $(wildcard $(INPUT)) $(VENV)/installed
 	$(BIN)/python tests/benchmarks/volume.py $(INPUT) -n $(N) --inner $(INNER_COUNTS)
 
 # Initial surface, the paper's training, triangles and polygons, for the eye.

@@ -71,7 +71,6 @@ def run(context: Context) -> Outcome:
     from .surface.topology import bad_edges
     from .voronoi.cells import raw_cells
     from .voronoi.delaunay import delaunay
-    from .voronoi.moments import cell_moments
     from .voronoi.slivers import merged
 
     params = context.params
@@ -93,10 +92,7 @@ def run(context: Context) -> Outcome:
     surface = written.with_vertices(frame.model_from_input(written.vertices))
     mean_area = float(face_frames(surface)[0].mean())
     bounded = _bounded(context, frame, surface)
-    sizes = None
-    count = params.inner or DEFAULT_INNER
-    if params.spacing is not None or params.grading:
-        sizes, count = _sizes(params, frame, surface, bounded.guard, context.threads)
+    sizes, count = _sizes(params, frame, surface, bounded.guard, context.threads)
     descent = _descend(context, bounded.guard, count, sizes, mean_area)
     points = descent.points
 
@@ -134,10 +130,7 @@ def run(context: Context) -> Outcome:
         warnings.append(
             f"the CVT energy was still falling after {descent.taken} steps: raise --cvt-iterations"
         )
-    moments = cell_moments(
-        np.concatenate([points, bounded.guard.within]), len(points),
-        sizes.density() if sizes and params.grading else None, context.threads,
-    )  # fmt: skip
+    moments = descent.moments
     offset = np.linalg.norm(points - moments.centroid, axis=1)
     history = np.array([*descent.residuals, (offset**2).mean()]) / mean_area
     inner_size = float(np.cbrt(moments.volume.mean()))
@@ -170,7 +163,6 @@ def run(context: Context) -> Outcome:
             "cells": mesh.cell_count,
             "faces": mesh.faces.face_count,
             "boundary_faces": int((mesh.neighbour < 0).sum()),
-            "open_cells": result.faults["open"],
             "faults": result.faults,
             "surface_unchanged": as_written,
             "changed_faces": changed,
@@ -292,8 +284,9 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
 
 def _sizes(
     params: Params, frame: ModelFrame, surface: PolygonMesh, guard: Guard, threads: int
-) -> tuple[Sizes, int]:
-    """The sizes that --spacing and --grading ask for, and how many inner cells that are."""
+) -> tuple[Sizes | None, int]:
+    """The sizes that --grading asks for (None: all are equal), and how many inner cells there are
+    to be."""
     import math
 
     import numpy as np
@@ -302,6 +295,8 @@ def _sizes(
     from .surface.geometry import face_frames
     from .voronoi.grading import Sizes, depths
 
+    if params.spacing is None and not params.grading:
+        return None, params.inner or DEFAULT_INNER
     most = math.inf if params.spacing is None else params.spacing / frame.spacing
     own = math.sqrt(float(face_frames(surface)[0].mean()))
     least = min(own, most) if params.grading else most
@@ -321,7 +316,7 @@ def _sizes(
             f"{asked}: asks for {wanted:.3g} inner generators, which must be "
             f"from 1 to {MOST_INNER}; {'lower' if wanted < 1 else 'raise'} it"
         )
-    return sizes, round(wanted)
+    return sizes if params.grading else None, round(wanted)
 
 
 def _descend(
@@ -332,7 +327,7 @@ def _descend(
     from .voronoi.interior import sample
 
     params, threads = context.params, context.threads
-    density = sizes.density() if sizes and params.grading else None
+    density = sizes.density() if sizes else None
     found = context.checkpoints.latest()
     descent: Descent | PaperDescent
     if found is not None:
@@ -346,7 +341,7 @@ def _descend(
         context.progress.start("inner generators", count)
         points = sample(
             guard, count, context.random, threads, context.progress.advance,
-            sizes.places if sizes and params.grading else None,
+            sizes.places if sizes else None,
         )  # fmt: skip
         if params.cvt == "paper":
             descent = PaperDescent(guard, points, mean_area, threads, params.cvt_iterations)

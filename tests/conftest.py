@@ -14,7 +14,9 @@ from hypothesis import settings
 
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.true_surface import TrueSurface, true_surface
+from vorolight.stages.surface.geometry import face_frames
 from vorolight.stages.surface.model_frame import ModelFrame
+from vorolight.stages.surface.polygons import PolygonMesh
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 settings.register_profile("tests", deadline=None, max_examples=15, derandomize=True)
@@ -103,3 +105,25 @@ def fibonacci(count: int, radius: float = 1.0) -> np.ndarray:
     angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
     ring = np.sqrt(1 - height**2)
     return radius * np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+
+
+def ball(seed: int = 0, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """Random points of a cube, and which of them lie in a ball."""
+    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    return points, np.linalg.norm(points, axis=1) < 0.6
+
+
+def exact_pairs(
+    vertices: np.ndarray, triangles: np.ndarray, radius: float
+) -> tuple[PolygonMesh, np.ndarray, np.ndarray]:
+    """Triangles with exact pairs, inside and outside: where equal spheres at their corners meet."""
+    mesh = PolygonMesh.of_triangles(vertices, triangles)
+    a, b, c = (mesh.vertices[mesh.face_vertices.reshape(-1, 3)[:, k]] for k in range(3))
+    _, normal, _ = face_frames(mesh)
+    ab, ac = b - a, c - a
+    cross = np.cross(ab, ac)
+    arm = np.cross(cross, ab) * (ac**2).sum(1, keepdims=True)
+    arm = arm + np.cross(ac, cross) * (ab**2).sum(1, keepdims=True)
+    arm = arm / (2 * (cross**2).sum(1, keepdims=True))
+    offset = np.sqrt(radius**2 - (arm**2).sum(1, keepdims=True))
+    return mesh, a + arm - offset * normal, a + arm + offset * normal

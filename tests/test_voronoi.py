@@ -1,25 +1,19 @@
-"""Diagrams: interfaces, cells, gradients, degenerate input, conformity."""
+"""Diagrams: interfaces, gradients, degenerate input, conformity."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from conftest import fibonacci, random_rotation, sphere_mesh
+from conftest import ball, exact_pairs, random_rotation, sphere_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.errors import NumericalFailure
-from vorolight.stages.optimize.cvt import Descent
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import edges, topology
+from vorolight.stages.surface.topology import topology
 from vorolight.stages.voronoi import shull_child
-from vorolight.stages.voronoi.boundary import Boundary
-from vorolight.stages.voronoi.cell_checks import cell_faults
-from vorolight.stages.voronoi.cells import PolyhedralMesh, contracted, raw_cells
 from vorolight.stages.voronoi.cleanup import clean
 from vorolight.stages.voronoi.conformity import conformity
 from vorolight.stages.voronoi.delaunay import (
@@ -30,32 +24,14 @@ from vorolight.stages.voronoi.delaunay import (
     in_passing,
 )
 from vorolight.stages.voronoi.interface import interface, without_islands
-from vorolight.stages.voronoi.interior import Guard, sample
-from vorolight.stages.voronoi.moments import cell_moments
 from vorolight.stages.voronoi.pairs import label_pairs
-from vorolight.stages.voronoi.slivers import merged
 from vorolight.stages.voronoi.vertices import circumcentres, voronoi_vertices
-
-
-def ball(seed: int = 0, count: int = 1500) -> tuple[np.ndarray, np.ndarray]:
-    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
-    return points, np.linalg.norm(points, axis=1) < 0.6
 
 
 def sphere_pairs(
     level: int = 2, radius: float = 0.25
 ) -> tuple[PolygonMesh, np.ndarray, np.ndarray]:
-    """Triangles of a sphere with exact pairs: where equal spheres at their corners meet."""
-    mesh = PolygonMesh.of_triangles(*sphere_mesh(1.0, level))
-    a, b, c = (mesh.vertices[mesh.face_vertices.reshape(-1, 3)[:, k]] for k in range(3))
-    _, normal, _ = geometry.face_frames(mesh)
-    ab, ac = b - a, c - a
-    cross = np.cross(ab, ac)
-    arm = np.cross(cross, ab) * (ac**2).sum(1, keepdims=True)
-    arm = arm + np.cross(ac, cross) * (ab**2).sum(1, keepdims=True)
-    arm = arm / (2 * (cross**2).sum(1, keepdims=True))
-    offset = np.sqrt(radius**2 - (arm**2).sum(1, keepdims=True))
-    return mesh, a + arm - offset * normal, a + arm + offset * normal
+    return exact_pairs(*sphere_mesh(1.0, level), radius)
 
 
 @given(st.integers(0, 10**6))
@@ -262,141 +238,3 @@ def test_specks_are_removed() -> None:
     left, kept, gone = without_islands(points, noisy, smallest=0.05)
     assert gone == 2
     assert topology(interface(left, kept).mesh).components == 1
-
-
-def cells_of(points: np.ndarray, labels: np.ndarray) -> tuple[PolyhedralMesh, PolygonMesh]:
-    """The cells of the inside points, and the interface that they end at."""
-    surface = interface(points, labels)
-    cleaned = clean(surface, spacing=1.0)
-    boundary = Boundary.cleaned(surface, labels, cleaned, cleaned.mesh, 1e-6)
-    assert boundary is not None
-    return raw_cells(points, labels, delaunay(points), boundary), cleaned.mesh
-
-
-def test_cells_fill_the_surface_they_are_in() -> None:
-    points, labels = ball(13)
-    cells, surface = cells_of(points, labels)
-    at = points[cells.cell_generator]
-    assert {name: int(bad.sum()) for name, bad in cell_faults(cells, at).items()} == {
-        "open": 0, "not_spheres": 0, "torn_faces": 0, "crossed_faces": 0, "few_faces": 0,
-        "folded": 0,
-    }  # fmt: skip
-    assert cells.cell_count == labels.sum()
-    enclosed = geometry.enclosed_volume(*geometry.fan_triangles(surface)[:2])
-    assert cells.solids(at)[0].sum() == pytest.approx(enclosed, rel=1e-12)
-    inner = int((cells.neighbour >= 0).sum())
-    assert (cells.neighbour[inner:] == -1).all()
-    assert (cells.owner[:inner] < cells.neighbour[:inner]).all()
-    rank = cells.owner[:inner] * cells.cell_count + cells.neighbour[:inner]
-    assert (np.diff(rank) > 0).all()  # as OpenFOAM wants them, and no two faces of one pair
-    assert np.array_equal(cells.faces.vertices[: surface.vertex_count], surface.vertices)
-    assert np.array_equal(cells.boundary.face_vertices, surface.face_vertices)
-    assert np.array_equal(cells.boundary.face_offsets, surface.face_offsets)
-
-
-def test_slivers_are_merged_and_nothing_else_is_changed() -> None:
-    points, labels = ball(13)
-    cells, surface = cells_of(points, labels)
-    at = points[cells.cell_generator]
-    found = merged(cells, 0.1, at)
-    assert found.contracted_vertices > 50
-    assert not any(found.faults.values())
-    assert np.array_equal(found.mesh.boundary.face_vertices, surface.face_vertices)
-    assert np.array_equal(found.mesh.faces.vertices[: surface.vertex_count], surface.vertices)
-    total = cells.solids(at)[0].sum()
-    assert found.mesh.solids(at)[0].sum() == pytest.approx(total, rel=1e-12)
-
-    def shortest(mesh: PolyhedralMesh) -> float:
-        """Of the edges inside."""
-        ends = edges(mesh.faces)
-        ends = ends[ends.max(axis=1) >= surface.vertex_count]
-        return float(np.linalg.norm(np.diff(mesh.faces.vertices[ends], axis=1), axis=2).min())
-
-    smallest = np.cbrt(cells.solids(at)[0].min())
-    assert shortest(cells) < 0.01 * smallest
-    if found.spared_vertices == 0:
-        assert shortest(found.mesh) >= 0.1 * smallest
-
-
-def test_faults_of_broken_cells_are_named() -> None:
-    points, labels = ball(13)
-    cells, _ = cells_of(points, labels)
-    at = points[cells.cell_generator]
-    face = int(np.flatnonzero(cells.neighbour >= 0)[0])
-    keep = np.arange(cells.faces.face_count) != face
-    gone = replace(
-        cells, faces=cells.faces.select_faces(keep), owner=cells.owner[keep],
-        neighbour=cells.neighbour[keep],
-    )  # fmt: skip
-    both = {int(cells.owner[face]), int(cells.neighbour[face])}
-    assert set(np.flatnonzero(cell_faults(gone, at)["open"])) == both
-    inner = np.flatnonzero(np.arange(cells.faces.vertex_count) >= cells.surface_vertices)
-    moved = cells.faces.vertices.copy()
-    moved[inner[0]] += 2.0
-    assert cell_faults(cells.with_vertices(moved), at)["folded"].any()
-    # Two opposite corners of one face become one vertex.
-    ring = next(
-        ring for ring in np.split(cells.faces.face_vertices, cells.faces.face_offsets[1:-1])
-        if len(ring) == 6 and ring.min() >= cells.surface_vertices
-    )  # fmt: skip
-    target = np.arange(cells.faces.vertex_count)
-    target[max(ring[0], ring[3])] = min(ring[0], ring[3])
-    assert cell_faults(contracted(cells, target, cells.faces.vertices), at)["torn_faces"].any()
-
-
-def test_cell_centroid_of_a_symmetric_cell() -> None:
-    grid = np.stack(np.meshgrid(*[[-1.0, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
-    order = np.argsort(np.linalg.norm(grid, axis=1), kind="stable")
-    found = cell_moments(grid[order], 1)
-    assert found.volume[0] == pytest.approx(1, abs=1e-12)
-    assert found.energy[0] == pytest.approx(0.25, abs=1e-12)  # 3 times 1/12 for a unit cube
-    assert np.allclose(found.centroid, 0, atol=1e-12)
-
-
-def test_moments_add_up_to_the_box_and_agree_with_the_polyhedra() -> None:
-    points, labels = ball(19)
-    order = np.argsort(~labels, kind="stable")
-    points, labels = points[order], labels[order]
-    cells, _ = cells_of(points, labels)
-    volume, centroid = cells.solids(points[cells.cell_generator])
-    found = cell_moments(points, int(labels.sum()), threads=2)
-    assert found.volume == pytest.approx(volume, rel=1e-9)
-    assert np.allclose(found.centroid, centroid, atol=1e-9)
-    everything = cell_moments(points, len(points))
-    edge = np.ptp(points, axis=0)
-    box = np.prod(edge + 2 * edge.max())  # cells end at a box that far around
-    assert everything.volume.sum() == pytest.approx(box, rel=1e-9)
-
-
-def test_one_cell_among_thousands_of_neighbours() -> None:
-    shell = 2 * fibonacci(3000)
-    found = cell_moments(np.concatenate([[[0.01, 0.02, -0.01]], shell]), 1)
-    assert found.volume[0] == pytest.approx(4 / 3 * np.pi, rel=0.01)  # a polyhedron around it
-
-
-def test_inner_generators_leave_the_surface_alone() -> None:
-    points, labels = ball(17, 4000)
-    before = interface(points, labels)
-    shell = np.unique(before.generators)  # only these touch the surface: room inside
-    points, labels = points[shell], labels[shell]
-    before = interface(points, labels)
-    guard = Guard.of(points, labels, before)
-    inner = sample(guard, 40, lambda _, i: np.random.default_rng(i), 1, lambda _: None)
-    descent = Descent(guard, None, 1, inner)
-    while not descent.done:
-        descent.step()
-    # Measured .022: generators that press against the spheres cannot reach their centroids.
-    assert descent.residual < 0.05 * descent.residuals[0]
-    inner = descent.points
-
-    def cells(added: np.ndarray) -> PolyhedralMesh:
-        cleaned = clean(before, spacing=1.0)
-        boundary = Boundary.cleaned(before, labels, cleaned, cleaned.mesh, 1e-6)
-        assert boundary is not None
-        everything = np.concatenate([added, points])
-        inside = np.concatenate([np.ones(len(added), bool), labels])
-        return raw_cells(everything, inside, delaunay(everything), boundary, len(added))
-
-    assert cells(inner).cell_count == 40 + labels.sum()
-    with pytest.raises(NumericalFailure, match="changed it"):
-        cells(before.mesh.vertices[:1] * 0.999)

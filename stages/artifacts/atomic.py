@@ -56,7 +56,7 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(
-            f"{path}: cannot be created ({error.strerror}); choose another folder with --run"
+            f"{path}: cannot be created ({error.strerror}); choose another folder"
         ) from error
 
 

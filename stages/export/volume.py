@@ -62,6 +62,13 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
     Raises UsageError where something is there already, unless ``force``, and InputError for a cut
     without cells. Nothing is left half-written.
     """
+    if form.suffix and target.is_dir():
+        raise UsageError(f"{target}: is a folder; name a file")
+    if not form.suffix and target.is_file():
+        raise UsageError(f"{target}: is a file; name a folder")
+    held = target if form.suffix else target / "constant" / "polyMesh"
+    if held.exists() and not force:
+        raise UsageError(f"{held}: is there; choose another name, or use --force")
     arrays = folder.arrays("volume", "volume")
     mesh = PolyhedralMesh.from_arrays(arrays)
     points, volume = arrays["generators"][mesh.cell_generator], arrays["cell_volume"]
@@ -71,13 +78,6 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
         keep = _kept(cut, points)
         mesh, points = mesh.select_cells(keep), points[keep]
         data = {name: values[keep] for name, values in data.items()}
-    if form.suffix and target.is_dir():
-        raise UsageError(f"{target}: is a folder; name a file")
-    if not form.suffix and target.is_file():
-        raise UsageError(f"{target}: is a file; name a folder")
-    held = target if form.suffix else target / "constant" / "polyMesh"
-    if held.exists() and not force:
-        raise UsageError(f"{held}: is there; choose another name, or use --force")
     files = form.encode(Volume(mesh, data, points))
     atomic.make_folder(target.parent if form.suffix else target)
     if form.suffix:
@@ -96,13 +96,15 @@ def _write_case(target: Path, files: dict[str, bytes]) -> None:
             atomic.write(target / path, content)
     place = target / "constant" / "polyMesh"
     fresh = place.with_name(f".polyMesh.tmp.{os.getpid()}")
+    former = place.with_name(f".polyMesh.old.{os.getpid()}")
     atomic.make_folder(fresh)
     try:
         for path, content in files.items():
             if path.startswith(mesh):
                 atomic.write(fresh / path[len(mesh) :], content)
         if place.exists():
-            shutil.rmtree(place)
+            atomic.move(place, former)
         atomic.move(fresh, place)
+        shutil.rmtree(former, ignore_errors=True)
     finally:
         shutil.rmtree(fresh, ignore_errors=True)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..surface.geometry import limited
 from ..voronoi.delaunay import Floats
 from ..voronoi.grading import Grid
 from ..voronoi.interior import Guard
@@ -103,10 +104,7 @@ class Descent:
         if np.vdot(way, gradient) >= 0:
             self.steps, self.changes = [], []
             way = self._direction(gradient)
-        longest = REACH * np.cbrt(self.moments.volume)
-        way *= np.minimum(
-            1.0, longest / np.maximum(np.linalg.norm(way, axis=1), np.finfo(float).tiny)
-        )[:, None]
+        way = limited(way, REACH * np.cbrt(self.moments.volume))
         for _ in range(SHORTENED):
             moved = self.guard.moved(self.points, way, self.threads)
             moments = self._moments(moved)
@@ -157,9 +155,14 @@ class PaperDescent:
         self.tensor = torch.as_tensor(points.copy()).requires_grad_()
         self.adam = AdamMoments({"points": self.tensor})
         self.residuals: list[float] = []
-        first = cell_moments(np.concatenate([points, guard.within]), len(points), threads=threads)
-        rate = RATE * float(np.cbrt(first.volume.mean()))
+        rate = RATE * float(np.cbrt(self.moments.volume.mean()))
         self.schedule = Schedule(iterations, rate, "cosine", 1)
+
+    @property
+    def moments(self) -> Moments:
+        """Of the cells as they are."""
+        generators = np.concatenate([self.points, self.guard.within])
+        return cell_moments(generators, len(self.points), threads=self.threads)
 
     @classmethod
     def resumed(

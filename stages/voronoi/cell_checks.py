@@ -32,12 +32,8 @@ def cell_faults(mesh: PolyhedralMesh, points: Floats) -> dict[str, NDArray[np.bo
     edge, number = np.unique(edge_keys(faces)[0], return_inverse=True)
     edge_key = cell * len(edge) + number[corner]
 
-    def numbered(keys: Ints) -> tuple[Ints, Ints, Ints]:
-        unique, inverse, uses = np.unique(keys, return_inverse=True, return_counts=True)
-        return unique, inverse.astype(np.int64), uses
-
-    vertices, vertex_number, _ = numbered(vertex_key)
-    edges, edge_number, uses = numbered(edge_key)
+    vertices, vertex_number = np.unique(vertex_key, return_inverse=True)
+    edges, edge_number, uses = np.unique(edge_key, return_inverse=True, return_counts=True)
     vertex_count = np.bincount(vertices // faces.vertex_count, minlength=cells)
     edge_cell = edges // max(len(edge), 1)
     edge_count = np.bincount(edge_cell, minlength=cells)
@@ -51,10 +47,10 @@ def cell_faults(mesh: PolyhedralMesh, points: Floats) -> dict[str, NDArray[np.bo
     meets = coo_array((once, (half, edge_number)), shape=(len(half_face), len(edges))).tocsr()
     shared, along = (incidence @ incidence.T).tocoo(), (meets @ meets.T).tocsr()
     other = shared.row < shared.col
-    row, column, points = shared.row[other], shared.col[other], shared.data[other]
+    row, column, common = shared.row[other], shared.col[other], shared.data[other]
     lines = np.asarray(along[row, column]).reshape(-1)
     # A path of k edges has k + 1 points; faces that share all their edges are one face twice.
-    crossed = points != lines + 1
+    crossed = common != lines + 1
     return {
         "open": _marked(cells, edge_cell[uses != 2]),
         "not_spheres": vertex_count - edge_count + face_count != 2,
