@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from . import contract
+from . import contract, torch_start
 from .contract import Context, Outcome, Positive, Range, Stage
 from .memory import peak
 
@@ -101,7 +101,7 @@ def run(context: Context) -> Outcome:
     from .voronoi.cleanup import clean
     from .voronoi.interface import interface, without_islands
 
-    torch.set_num_threads(context.threads)
+    torch_start.start(context.threads)
     params = context.params
     stored = context.arrays("classify")
     grid = VoxelGrid(

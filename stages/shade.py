@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from . import contract
+from . import contract, torch_start
 from .contract import Context, Outcome, Positive, Range, Stage
 from .errors import UsageError
 from .memory import peak
@@ -109,7 +109,7 @@ def run(context: Context) -> Outcome:
     from .surface.geometry import fan_triangles, vertex_normals
     from .surface.polygons import PolygonMesh
 
-    torch.set_num_threads(context.threads)
+    torch_start.start(context.threads)
     params, source = context.params, context.source()
     if not isinstance(source, ViewSource):
         raise UsageError(f"shade: the input is a {source.kind}; only views show an appearance")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from . import contract
+from . import contract, torch_start
 from .contract import Context, Outcome, Positive, Range, Stage
 from .errors import UsageError
 from .memory import peak
@@ -125,9 +125,7 @@ class Params(contract.Params):
 
 def run(context: Context) -> Outcome:
     """Spheres and pairs of generators (the paper's sections 3.3 and 3.4), then the surface."""
-    import torch
-
-    torch.set_num_threads(context.threads)
+    torch_start.start(context.threads)
     if context.params.by_adam:
         return _as_in_the_paper(context)
     return _triangles(context) if context.params.faces == "triangle" else _polygons(context)

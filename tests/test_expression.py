@@ -12,8 +12,9 @@ from conftest import QUICK, Cli
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vorolight.stages import torch_start
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources.expression import parse
+from vorolight.stages.sources.expression import ONE, parse
 from vorolight.stages.sources.fields import FieldSource
 
 
@@ -134,3 +135,13 @@ def test_a_run_of_a_formula(tmp_path: Path, cli: Cli) -> None:
     done = cli("classify", "heart", "--field", text, cwd=tmp_path)
     assert done.returncode == 2
     assert "give one of them" in done.stderr
+
+
+def test_torchs_functions_are_settled_before_threads_share_them() -> None:
+    assert set(ONE) - {"abs"} <= set(torch_start.FUNCTIONS)
+    torch_start.settle()
+    points = torch.linspace(0.1, 0.9, 200_000, dtype=torch.float64)
+    for name in torch_start.FUNCTIONS:
+        function = getattr(torch, name)
+        alone = function(points[:100])
+        assert torch.allclose(function(points)[:100], alone, rtol=1e-14, atol=0)  # some last bits

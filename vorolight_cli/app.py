@@ -371,8 +371,6 @@ def main() -> None:
     """Entry point of the console script."""
     # torch's threads would spin between its operations and keep scipy's from the cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    # Without this MKL's sums depend on where an array happens to lie in memory.
-    os.environ.setdefault("MKL_CBWR", "AUTO,STRICT")
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
     _build()

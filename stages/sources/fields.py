@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, PolygonMesh
+from ..torch_start import settle
 from . import code
 from .expression import Formula, parse, search_box
 from .grid import load
@@ -115,6 +116,7 @@ class FieldSource:
         """F as a differentiable function of a torch tensor ``(N, 3)``."""
         import torch
 
+        settle()
         x, y, z = points.unbind(1)
         return self.field.formula(x, y, z, torch)
 
