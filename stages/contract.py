@@ -49,6 +49,20 @@ class Short:
     flag: str
 
 
+@dataclass(frozen=True)
+class Length:
+    """A number of millimetres, which may also be said as text with a unit: 120mm, 12cm, 4.7in."""
+
+    def read(self, text: str) -> float:
+        """Millimetres. Raises ValueError for anything but a number and maybe a unit."""
+        text = text.strip().lower()
+        unit = next((unit for unit in MILLIMETRES if text.endswith(unit)), "")
+        return float(text.removesuffix(unit)) * MILLIMETRES.get(unit, 1.0)
+
+
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "in": 25.4, "m": 1000.0}
+"""Units of a Length; the longer names first."""
+
 Positive = Annotated[float, Range(0)]
 Share = Annotated[float, Range(0, 1)]
 
@@ -65,6 +79,7 @@ class Option:
     meaning: str
     limits: Range | None
     short: str | None
+    length: Length | None = None
 
     def check(self, value: Any) -> Any:
         """``value`` in the option's type. Raises UsageError when it does not fit."""
@@ -83,9 +98,12 @@ class Option:
                 raise ValueError
             if self.type is bool and not isinstance(value, bool):
                 raise ValueError
+            if self.length is not None and isinstance(value, str):
+                value = self.length.read(value)
             converted = self.type(value)
         except (TypeError, ValueError, OverflowError):
-            raise UsageError(f"{flag} {value}: must be {self.type.__name__}") from None
+            wanted = "a length, such as 1.2mm or 12cm" if self.length else self.type.__name__
+            raise UsageError(f"{flag} {value}: must be {wanted}") from None
         if self.type is float and not math.isfinite(converted):
             raise UsageError(f"{flag} {value}: must be a finite number")
         if self.limits is not None and not self.limits.holds(converted):
@@ -148,8 +166,10 @@ def _read_options(params: type[Params]) -> tuple[Option, ...]:
             kind, *extras = get_args(kind)
         limits = next((extra for extra in extras if isinstance(extra, Range)), None)
         short = next((extra.flag for extra in extras if isinstance(extra, Short)), None)
+        length = next((extra for extra in extras if isinstance(extra, Length)), None)
+        meaning = meanings[item.name]
         found.append(
-            Option(item.name, kind, optional, item.default, meanings[item.name], limits, short)
+            Option(item.name, kind, optional, item.default, meaning, limits, short, length)
         )
     return tuple(found)
 

@@ -53,7 +53,7 @@ def _annotation(option: Option, name: str, group: str) -> Any:
     elif option.limits is not None:
         meaning += f" ({option.limits})"
     # Choices and limits are checked by the Params, so that every way in gives the same sentence.
-    plain = option.type if option.type in (int, float, bool) else str
+    plain = option.type if option.type in (int, float, bool) and option.length is None else str
     return Annotated[
         plain | None,
         typer.Option(

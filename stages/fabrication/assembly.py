@@ -29,16 +29,11 @@ class Part:
     dropped_volume: float
 
 
-def assemble(add: list[Any], cavity: Any | None, flat_base: bool) -> Part:
-    """Union of ``add``, less ``cavity``, cut at z = 0; the largest part of it.
+def largest(body: Any) -> Part:
+    """The largest part of ``body``, as it is written.
 
-    Raises NumericalFailure when the union fails or the result cannot be written closed.
+    Raises NumericalFailure when the boolean operations failed.
     """
-    body = _union(add)
-    if cavity is not None:
-        body = body - cavity
-    if flat_base:
-        body = body.trim_by_plane((0, 0, 1), 0.0)
     if body.status().name != "NoError" or body.is_empty():
         raise NumericalFailure(f"the union of the tubes failed ({body.status().name})")
     parts = sorted(body.decompose(), key=lambda part: -part.volume())
@@ -56,7 +51,12 @@ def assemble(add: list[Any], cavity: Any | None, flat_base: bool) -> Part:
     )
 
 
-def _union(bodies: list[Any]) -> Any:
+def handles(body: Any) -> int:
+    """Sum of the genera of the parts of ``body``."""
+    return int(body.genus()) + len(body.decompose()) - 1
+
+
+def union(bodies: list[Any]) -> Any:
     """The union of ``bodies``, neighbours first: what is united early is small, and hidden surface
     does not come along."""
     from manifold3d import Manifold, OpType

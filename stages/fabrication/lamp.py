@@ -1,109 +1,165 @@
-"""The lamp's base: a foot that follows the footprint, and a cup that holds the light."""
+"""How an object is placed: its axes, its scale, how it stands, and where its light goes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..errors import NumericalFailure
-from ..sources.parity import RayParity
-from ..surface.geometry import fan_triangles
+from ..errors import UsageError
 from ..surface.polygons import Floats, PolygonMesh
+from . import base, lights
+from .base import Place
+from .lights import Cavity, Light, Room
 
-FOOT = 2.4
-"""Thickness of the foot in mm."""
-LIP = 2.0
-"""How far the cup closes in above the light, and the height it takes for that, in mm."""
-CELL = 1.0
-"""Grid on which room for the cavity is looked for, in mm; coarser on objects over MOST_CELLS."""
-MOST_CELLS = 400
-SEGMENTS = 96
+TRIMS = (0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
+"""Shares of the height that are cut off for a flat base; the first at which the light fits."""
+LEAST_DIAMETER = 8.0
+"""A light smaller than this many mm is none."""
 
 
 @dataclass(frozen=True)
-class Light:
-    """The light and the room it gets, all in millimetres."""
+class Request:
+    """What was asked for, in mm."""
 
-    diameter: float
+    up: str
     height: float
+    overhang: float
+    """What tubes add on top, and below when nothing is trimmed: the largest tube radius."""
+    trim: float | None
+    """Share of the shape's height cut off for a flat base; None: as little as the light allows."""
+    base: str
+    """auto, footprint, pedestal or none."""
+    light: Light | None
+    preset: str
     clearance: float
     wall: float
-
-    @property
-    def cavity_radius(self) -> float:
-        return self.diameter / 2 + self.clearance
-
-    @property
-    def cavity_height(self) -> float:
-        return self.height + self.clearance
+    lid: bool
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where the cavity goes."""
+class Stance:
+    """Where the object is."""
 
-    x: float
-    y: float
-    room: float
-    """Largest radius about (x, y) that stays inside the shape over the cup's height; mm."""
+    mm_from_input: Floats
+    trim: float
+    lift: float
+    """Height of the pedestal; 0 without one."""
+    base: str
+    cavity: Cavity | None
+    place: Place | None
+    room: float | None
+    """Largest diameter of a light of this height that would have fitted inside the shape."""
+
+    def apply(self, mesh: PolygonMesh) -> PolygonMesh:
+        turn, shift = self.mm_from_input[:3, :3], self.mm_from_input[:3, 3]
+        return mesh.with_vertices(mesh.vertices @ turn.T + shift)
 
 
-def find_room(surface: PolygonMesh, light: Light) -> Place:
-    """The axis with the most room inside ``surface (mm, base at z = 0)`` over the cup's height.
+def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
+    """Place the object, which is drawn from ``polygons`` and whose inside is that of ``surface``.
 
-    Without any room there: the middle of the lowest slice that has a part of the shape.
+    The cavity is moved to where it has most room, over places and over shares cut off; that its
+    rooms lie inside the shape is then proved with exact bodies.
+
+    Raises UsageError, with the largest light that fits, where none of this helps.
     """
-    from scipy.ndimage import distance_transform_edt
 
-    vertices, triangles, _ = fan_triangles(surface)
-    rays = RayParity(vertices, triangles)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    cell = max(CELL, float((high - low)[:2].max()) / MOST_CELLS)
-    x = np.arange(low[0] - cell, high[0] + 2 * cell, cell)
-    y = np.arange(low[1] - cell, high[1] + 2 * cell, cell)
-    z = np.linspace(0.25, light.cavity_height + LIP, 13)
-    grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
-    inside = rays.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])
-    room = distance_transform_edt(inside.all(axis=2)) * cell
-    if room.max() > 0:
-        i, j = np.unravel_index(int(room.argmax()), room.shape)
-        # The grid point itself is one cell inside at the least.
-        return Place(float(x[i]), float(y[j]), max(float(room[i, j]) - cell, 0.0))
-    filled = np.flatnonzero(inside.any(axis=(0, 1)))
-    if len(filled) == 0:
-        raise NumericalFailure("the shape has no inside near its base; choose another --up")
-    where = np.argwhere(inside[:, :, filled[0]]).mean(axis=0)
-    return Place(float(x[0] + where[0] * cell), float(y[0] + where[1] * cell), 0.0)
+    def matrix(trim: float, lift: float = 0.0) -> Floats:
+        return mm_from_input(
+            polygons.vertices, asked.up, asked.height - lift, trim, asked.overhang, lift
+        )
+
+    trims = TRIMS if asked.trim is None else (asked.trim,)
+    if asked.base == "none" or asked.light is None:
+        trim = 0.0 if asked.base == "none" and asked.trim is None else trims[0]
+        kind = "footprint" if asked.base == "auto" else asked.base
+        lift = base.FOOT if kind == "pedestal" else 0.0
+        return Stance(matrix(trim, lift), trim, lift, kind, None, None, None)
+    cavity = lights.cavity(asked.light, asked.clearance, asked.wall, asked.lid)
+    widest = -np.inf
+    if asked.base != "pedestal":
+        for trim in trims:
+            stance = Stance(matrix(trim), trim, 0.0, "footprint", cavity, None, None)
+            found, diameter = _inside(stance, surface, asked)
+            widest = max(widest, diameter)
+            if found is not None:
+                return replace(found, room=diameter)
+    if asked.base == "footprint" or asked.preset == "largest":
+        raise UsageError(_no_room(asked, widest))
+    lift = cavity.top
+    if lift > 0.5 * asked.height:
+        raise UsageError(
+            f"--light {asked.preset}: its pedestal would be {lift:.0f} of {asked.height:g} mm high;"
+            " raise --height or take a smaller light"
+        )
+    stance = Stance(matrix(trims[0], lift), trims[0], lift, "pedestal", cavity, None, None)
+    if cavity.bulb is None:
+        x, y, _ = centre_of_edges(stance.apply(polygons), lift)
+        return replace(stance, place=Place(float(x), float(y), 0.0), room=max(widest, 0.0))
+    inside = base.Inside(stance.apply(surface))
+    rooms = cavity.rooms(asked.overhang)[1:]
+    place = inside.place(rooms)
+    solid = base.solid_of(stance.apply(surface))
+    if place.slack < 0 or not base.lies_within(rooms, place, solid):
+        raise UsageError(_no_room(asked, asked.light.diameter + 2 * place.slack))
+    return replace(stance, place=place, room=asked.light.diameter + 2 * place.slack)
 
 
-def base_bodies(surface: PolygonMesh, light: Light, place: Place) -> tuple[list[Any], Any]:
-    """Bodies to add (foot and cup) and the cavity to take away, in millimetres."""
-    from manifold3d import Manifold, Mesh64
-
-    vertices, triangles, _ = fan_triangles(surface)
-    solid = Manifold(Mesh64(vertices, triangles.astype(np.uint64)))
-    if solid.status().name != "NoError":
-        raise NumericalFailure(f"the surface makes no solid for the foot ({solid.status().name})")
-    foot = solid.trim_by_plane((0, 0, 1), 0.0).trim_by_plane((0, 0, -1), -FOOT)
-    radius, height = light.cavity_radius, light.cavity_height
-    where = (place.x, place.y, 0.0)
-    outer = radius + light.wall
-    cup = Manifold.cylinder(height + LIP, outer, outer, SEGMENTS).translate(where)
-    cavity = Manifold.cylinder(height + 1, radius, radius, SEGMENTS).translate(
-        (place.x, place.y, -1.0)
-    ) + Manifold.cylinder(LIP, radius, max(radius - LIP, 0.0), SEGMENTS).translate(
-        (place.x, place.y, height)
+def _no_room(asked: Request, diameter: float) -> str:
+    assert asked.light is not None
+    most = f"the largest of this height that fits is {diameter:.0f} mm wide"
+    if diameter < LEAST_DIAMETER:
+        most = "none of this height fits there"
+    ways = "--light largest, " if diameter >= LEAST_DIAMETER and asked.preset != "largest" else ""
+    ways += "--base pedestal, " if asked.base != "pedestal" and asked.preset != "largest" else ""
+    return (
+        f"--light {asked.preset}: {asked.light.diameter:g} x {asked.light.height:g} mm with its "
+        f"wall does not fit inside the shape; {most}: use {ways}a smaller light, another --up or "
+        "more --height"
     )
-    return [foot, cup], cavity
 
 
-def mm_from_input(vertices: Floats, up: str, height: float, trim: float, overhang: float) -> Floats:
+def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stance | None, float]:
+    """The stance with its cavity placed inside the shape, if it fits; the largest diameter that
+    does."""
+    placed = stance.apply(surface)
+    inside = base.Inside(placed)
+    solid = base.solid_of(placed).trim_by_plane((0, 0, 1), 0.0)
+    cavity = stance.cavity
+    assert cavity is not None
+    place = inside.place(cavity.rooms(asked.overhang))
+    most = cavity.light.diameter + 2 * place.slack
+    if asked.preset == "largest":
+        if most < LEAST_DIAMETER:
+            return None, most
+        light = replace(cavity.light, diameter=float(np.floor(most)))
+        cavity = lights.cavity(light, asked.clearance, asked.wall, asked.lid)
+    elif place.slack < 0:
+        return None, most
+    if not base.lies_within(cavity.rooms(asked.overhang), place, solid):
+        return None, most - 2 * inside.cell
+    return replace(stance, cavity=cavity, place=place), most
+
+
+def centre_of_edges(polygons: PolygonMesh, low: float) -> Floats:
+    """Centre of mass ``(3,)`` of equally thick tubes along all edges, of what is above ``low``."""
+    from ..surface.topology import edges
+
+    ends = polygons.vertices[edges(polygons)]
+    middle = ends.mean(axis=1)
+    weight = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) * (middle[:, 2] > low)
+    return np.asarray(weight @ middle / max(float(weight.sum()), 1e-300))
+
+
+def mm_from_input(
+    vertices: Floats, up: str, height: float, trim: float, overhang: float, lift: float = 0.0
+) -> Floats:
     """The 4 x 4 map that turns ``up`` to z and gives the printed object its height.
 
-    ``trim`` is the share of the shape's height cut off for a flat base, which comes to z = 0;
-    ``overhang`` is what tubes add on top (and below, when nothing is trimmed).
+    ``trim`` is the share of the shape's height cut off for a flat base, which comes to z = 0, or
+    to ``lift``; ``overhang`` is what tubes add on top (and below, when nothing is trimmed).
     """
     axis = "xyz".index(up[-1])
     sign = -1.0 if up.startswith("-") else 1.0
@@ -115,9 +171,55 @@ def mm_from_input(vertices: Floats, up: str, height: float, trim: float, overhan
     low, high = placed.min(axis=0), placed.max(axis=0)
     free = height - overhang * (1 if trim > 0 else 2)
     scale = free / ((high[2] - low[2]) * (1 - trim))
-    base = low[2] + trim * (high[2] - low[2])
+    bottom = low[2] + trim * (high[2] - low[2])
     matrix = np.eye(4)
     matrix[:3, :3] = scale * turn
     matrix[:2, 3] = -scale * 0.5 * (low + high)[:2]
-    matrix[2, 3] = -scale * base + (0.0 if trim > 0 else overhang)
+    matrix[2, 3] = -scale * bottom + lift + (0.0 if trim > 0 else overhang)
     return matrix
+
+
+@dataclass(frozen=True)
+class Stand:
+    """What is added to the tubes for a base, and what is taken away."""
+
+    add: list[Any]
+    remove: list[Any]
+    lid: Any | None
+    widened: bool
+    """Whether the foot was made wider than the shape's own."""
+    channel_azimuth: float
+
+
+def bodies(stance: Stance, surface: PolygonMesh, polygons: PolygonMesh, cable: float) -> Stand:
+    """The base's bodies; ``surface`` and ``polygons`` are already in mm."""
+    if stance.base == "none":
+        return Stand([], [], None, False, 0.0)
+    solid = base.solid_of(surface)
+    centre = centre_of_edges(polygons, stance.lift)
+    cavity, place = stance.cavity, stance.place
+    widened = False
+    if stance.base == "pedestal":
+        section = solid.trim_by_plane((0, 0, 1), stance.lift).translate((0, 0, -stance.lift))
+        corners = base.footprint(section)
+        if cavity is not None and place is not None:
+            disc = base.cylinder(Room(cavity.outer, 0.0, 1.0), place)
+            corners = np.concatenate([corners, base.footprint(disc)])
+        plinth = base.outline_over(corners, centre, base.MARGIN).extrude(stance.lift)
+        add = [plinth]
+        outline = base.footprint(plinth)
+    else:
+        slab, widened = base.foot(solid, centre)
+        add = [slab]
+        outline = base.footprint(slab)
+    if cavity is None or place is None:
+        return Stand(add, [], None, widened, 0.0)
+    azimuth = base.channel_direction(outline, place)
+    cup, empty = base.cup_bodies(cavity, place, azimuth)
+    channel = None
+    if cable:
+        reach = float(np.linalg.norm(np.ptp(outline, axis=0))) + cavity.outer
+        channel = base.channel(cavity, place, azimuth, reach, cable)
+    remove = [empty] if channel is None else [empty, channel]
+    lid = base.lid_body(cavity, place, channel, azimuth) if cavity.lid else None
+    return Stand([*add, cup], remove, lid, widened, azimuth)

@@ -11,6 +11,9 @@ from ..surface.edits import contract_short_edges, reduce_rings
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edges
 
+FILLET_REACH, FILLET_RADIUS = 1.6, 0.8
+"""How far along a tube its fillet goes, and how thick it ends, in tube radii."""
+
 
 @dataclass(frozen=True)
 class TubeGraph:
@@ -22,12 +25,29 @@ class TubeGraph:
     face_sources: Ints
     """For each face of ``faces`` the face of the surface it comes from."""
 
+    @property
+    def lengths(self) -> Floats:
+        """Of the tubes ``(E,)``, in mm."""
+        ends = self.nodes[self.tubes]
+        return np.asarray(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
-def tube_graph(surface: PolygonMesh, weld: float) -> TubeGraph:
+    @property
+    def loops(self) -> int:
+        """Independent cycles, E - V + components: the genus of thin tubes along the graph."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        count, ends = len(self.nodes), self.tubes
+        graph = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(count, count))
+        parts, _ = connected_components(graph, directed=False)
+        return len(ends) - count + int(parts)
+
+
+def tube_graph(surface: PolygonMesh, weld: float, wanted: Ints | None = None) -> TubeGraph:
     """The edges of ``surface (mm)`` after edges shorter than ``weld`` have been contracted.
 
-    Voronoi edges go down to a millionth of the size: tubes along them would only cost time. A
-    contracted group sits at its mean.
+    ``wanted (E, 2)`` are the edges to take, all by default. Voronoi edges go down to a millionth
+    of the size: tubes along them would only cost time. A contracted group sits at its mean.
     """
     target = contract_short_edges(surface, weld)
     count = np.bincount(target, minlength=surface.vertex_count)
@@ -36,10 +56,11 @@ def tube_graph(surface: PolygonMesh, weld: float) -> TubeGraph:
         placed[:, axis] = np.bincount(
             target, surface.vertices[:, axis], minlength=surface.vertex_count
         ) / np.maximum(count, 1)
-    ends = np.unique(np.sort(target[edges(surface)], axis=1), axis=0)
+    taken = edges(surface) if wanted is None else wanted
+    ends = np.unique(np.sort(target[taken], axis=1), axis=0)
     ends = ends[ends[:, 0] != ends[:, 1]]
     faces, kept = reduce_rings(surface.with_vertices(placed), target)
-    used = np.unique(ends)
+    used = np.unique(np.concatenate([ends.ravel(), faces.face_vertices]))
     renumber = np.zeros(surface.vertex_count, dtype=np.int64)
     renumber[used] = np.arange(len(used))
     return TubeGraph(
@@ -69,14 +90,37 @@ def compensation(corners: Floats) -> float:
     return float(1 / np.abs(ConvexHull(corners).equations[:, 3]).min())
 
 
-def tubes(graph: TubeGraph, radius: float, sides: int) -> list[Any]:
-    """One convex body per edge; neighbours share the polyhedron at their node, so they merge."""
+def tubes(graph: TubeGraph, radii: Floats, sides: int, fillet: bool = False) -> list[Any]:
+    """One convex body per edge, with the ``radii (K,)`` of its ends, in mm.
+
+    Neighbours share the polyhedron at their node, so they merge. ``fillet`` adds to every node the
+    hull of its polyhedron and of smaller ones a little way out along its tubes.
+    """
     from manifold3d import Manifold
 
     corners = ball(sides)
-    corners = corners * radius * compensation(corners)
-    # manifold3d takes one hull at a time: this loop is over library objects, 1 ms each.
-    return [
-        Manifold.hull_points(np.concatenate([corners + start, corners + end]))
-        for start, end in graph.nodes[graph.tubes]
-    ]
+    corners = corners * compensation(corners)
+    at = graph.nodes[:, None] + radii[:, None, None] * corners
+    # manifold3d takes one hull at a time: these loops are over library objects, 1 ms each.
+    bodies = [Manifold.hull_points(np.concatenate([at[a], at[b]])) for a, b in graph.tubes.tolist()]
+    if not fillet:
+        return bodies
+    both = np.concatenate([graph.tubes, graph.tubes[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    start, other = both.T
+    along = graph.nodes[other] - graph.nodes[start]
+    length = np.linalg.norm(along, axis=1)
+    reach = np.minimum(FILLET_REACH * radii[start], 0.5 * length)
+    out = graph.nodes[start] + along * (reach / length)[:, None]
+    small = out[:, None] + FILLET_RADIUS * radii[start][:, None, None] * corners
+    first = np.searchsorted(start, np.arange(len(graph.nodes) + 1)).tolist()
+    for node in np.unique(start).tolist():
+        branches = small[first[node] : first[node + 1]].reshape(-1, 3)
+        bodies.append(Manifold.hull_points(np.concatenate([at[node], branches])))
+    return bodies
+
+
+def tapered(nodes: Floats, radius: float, top: float) -> Floats:
+    """Radii ``(K,)``: ``radius`` at the lowest node, ``top`` times that at the highest."""
+    z = nodes[:, 2]
+    return np.asarray(radius * (1 - (1 - top) * (z - z.min()) / max(float(np.ptp(z)), 1e-300)))

@@ -1,0 +1,242 @@
+"""Where a lamp's light goes, and what the lamp stands on; in millimetres, the floor at z = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import NumericalFailure
+from ..sources.parity import RayParity
+from ..surface.geometry import fan_triangles
+from ..surface.polygons import Floats, PolygonMesh
+from . import lights
+from .lights import Cavity, Room
+
+FOOT = 2.4
+"""Thickness of the foot."""
+MARGIN = 3.0
+"""How far a pedestal stands out beyond what it carries."""
+TILT = 8.0
+"""The lamp may be tilted by this many degrees at least before it falls."""
+CELL = 1.0
+"""Grid on which room for the cavity is looked for; coarser on objects over MOST_CELLS."""
+MOST_CELLS = 400
+SLICES = 16
+SEGMENTS = 96
+OUTSIDE = 1e-9
+"""Share of a room's volume that may lie outside, for rounding."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the axis of the cavity goes."""
+
+    x: float
+    y: float
+    slack: float
+    """By how much all its rooms could grow in radius and stay inside; negative: they do not fit."""
+
+
+def solid_of(surface: PolygonMesh) -> Any:
+    """The inside of a closed surface as a body. Raises NumericalFailure if it is none."""
+    from manifold3d import Manifold, Mesh64
+
+    vertices, triangles, _ = fan_triangles(surface)
+    solid = Manifold(Mesh64(vertices, triangles.astype(np.uint64)))
+    if solid.status().name != "NoError" or solid.is_empty():
+        raise NumericalFailure(f"the surface makes no solid ({solid.status().name})")
+    return solid
+
+
+class Inside:
+    """The inside of a surface on horizontal slices, for several questions about it."""
+
+    def __init__(self, surface: PolygonMesh) -> None:
+        vertices, triangles, _ = fan_triangles(surface)
+        self._rays = RayParity(vertices, triangles)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        self.cell = max(CELL, float((high - low)[:2].max()) / MOST_CELLS)
+        self.x = np.arange(low[0] - self.cell, high[0] + 2 * self.cell, self.cell)
+        self.y = np.arange(low[1] - self.cell, high[1] + 2 * self.cell, self.cell)
+
+    def distances(self, low: float, high: float) -> Floats:
+        """``(X, Y)``: how far each place is from the outside, on all slices from low to high."""
+        from scipy.ndimage import distance_transform_edt
+
+        z = np.linspace(low, high, SLICES)
+        z[0] += 1e-3 * (high - low)  # not in the plane of what was cut flat
+        grid = np.stack(np.meshgrid(self.x, self.y, z, indexing="ij"), axis=-1)
+        inside = self._rays.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3]).all(axis=2)
+        # A grid point outside is one cell beyond the last that is known to be inside.
+        return np.asarray(distance_transform_edt(inside) * self.cell - self.cell)
+
+    def place(self, rooms: list[Room], lift: float = 0.0) -> Place:
+        """The axis about which ``rooms``, raised by ``lift``, have most slack."""
+        slack = np.minimum.reduce(
+            [self.distances(room.low + lift, room.high + lift) - room.radius for room in rooms]
+        )
+        i, j = np.unravel_index(int(slack.argmax()), slack.shape)
+        return Place(float(self.x[i]), float(self.y[j]), float(slack[i, j]))
+
+
+def cylinder(room: Room, place: Place) -> Any:
+    """A body that holds the whole cylinder: its facets touch it from outside."""
+    from manifold3d import Manifold
+
+    radius = room.radius / np.cos(np.pi / SEGMENTS)
+    body = Manifold.cylinder(room.high - room.low, radius, radius, SEGMENTS)
+    return body.translate((place.x, place.y, room.low))
+
+
+def lies_within(rooms: list[Room], place: Place, solid: Any) -> bool:
+    """Whether nothing of the rooms lies outside ``solid``, by an exact difference of bodies."""
+    bodies = [cylinder(room, place) for room in rooms]
+    return all((body - solid).volume() <= OUTSIDE * body.volume() for body in bodies)
+
+
+def channel_direction(outline: Floats, place: Place) -> float:
+    """Azimuth, in radians, of the shortest way from the axis to the rim of ``outline (N, 2)``."""
+    offset = np.asarray(outline) - [place.x, place.y]
+    following = np.roll(offset, -1, axis=0)
+    along = following - offset
+    length = np.maximum(np.einsum("ij,ij->i", along, along), 1e-300)
+    share = np.clip(-np.einsum("ij,ij->i", offset, along) / length, 0, 1)
+    nearest = offset + share[:, None] * along
+    x, y = nearest[np.einsum("ij,ij->i", nearest, nearest).argmin()]
+    return float(np.arctan2(y, x))
+
+
+def channel(cavity: Cavity, place: Place, azimuth: float, reach: float, width: float) -> Any:
+    """The channel for a cable: a box along the floor from the axis outward."""
+    from manifold3d import Manifold
+
+    box = Manifold.cube((reach, width, width + 1.0)).translate((0.0, -0.5 * width, -1.0))
+    return box.rotate((0, 0, float(np.degrees(azimuth)))).translate((place.x, place.y, 0.0))
+
+
+def cup_bodies(cavity: Cavity, place: Place, azimuth: float) -> tuple[Any, Any]:
+    """The cup to add, and the cavity to take away; with a lid also the slots for its lugs.
+
+    ``azimuth``, in radians, is that of the cable, across which the lugs lie.
+    """
+    from manifold3d import Manifold
+
+    def tube(radius: float, low: float, high: float, top: float | None = None) -> Any:
+        body = Manifold.cylinder(high - low, radius, radius if top is None else top, SEGMENTS)
+        return body.translate((0.0, 0.0, low))
+
+    cup = tube(cavity.outer, 0.0, cavity.top)
+    light = cavity.light
+    empty = tube(cavity.radius, -1.0, cavity.height)
+    if light.hole:
+        empty += tube(0.5 * light.hole, cavity.height - 1.0, cavity.top + 1.0)
+    else:
+        narrow = max(cavity.radius - lights.LIP, 0.25 * cavity.radius)
+        empty += tube(cavity.radius, cavity.height, cavity.top, narrow)
+        empty += tube(narrow, cavity.top - 1e-3, cavity.top + 1.0)
+    if cavity.bulb is not None:
+        empty += tube(cavity.bulb.radius, cavity.bulb.low, cavity.bulb.high)
+    if cavity.lid:
+        empty += _slots(cavity).rotate((0, 0, float(np.degrees(azimuth))))
+    where = (place.x, place.y, 0.0)
+    return cup.translate(where), empty.translate(where)
+
+
+LUG_SPAN, RUN = 24.0, 40.0
+"""Angle of a lug, and how far the lid is turned to lock it, in degrees."""
+
+
+def _sector(inner: float, outer: float, start: float, stop: float, low: float, high: float) -> Any:
+    """Part of a ring between two azimuths in degrees."""
+    from manifold3d import CrossSection
+
+    angles = np.radians(np.linspace(start, stop, max(2, round((stop - start) / 3) + 1)))
+    arc = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    ring = np.concatenate([outer * arc, inner * arc[::-1]])
+    return CrossSection([ring]).extrude(high - low).translate((0.0, 0.0, low))
+
+
+def _slots(cavity: Cavity) -> Any:
+    """Two slots in the wall: up from the floor, then aside. Angles from the locked lug's middle."""
+    inner, outer = cavity.radius - 1.0, cavity.radius + lights.LUG + lights.PLAY
+    top = lights.LID + lights.PLAY
+    half = 0.5 * LUG_SPAN + 2.0
+    body = None
+    for turn in (90.0, 270.0):
+        entry = _sector(inner, outer, turn + RUN - half, turn + RUN + half, -1.0, top)
+        run = _sector(
+            inner, outer, turn - half, turn + RUN + half, lights.LUG_LOW - lights.PLAY, top
+        )
+        body = entry + run if body is None else body + entry + run
+    return body
+
+
+def lid_body(cavity: Cavity, place: Place, cable: Any | None, azimuth: float) -> Any:
+    """The lid where it sits when locked: a disc with two lugs and a groove to turn it by."""
+    from manifold3d import Manifold
+
+    radius = cavity.radius - lights.PLAY
+    body = Manifold.cylinder(lights.LID, radius, radius, SEGMENTS)
+    for turn in (90.0, 270.0):
+        body += _sector(
+            0.5 * radius, cavity.radius + lights.LUG, turn - 0.5 * LUG_SPAN, turn + 0.5 * LUG_SPAN,
+            lights.LUG_LOW, lights.LID,
+        )  # fmt: skip
+    groove = Manifold.cube((1.2 * radius, 3.0, 1.5)).translate((-0.6 * radius, -1.5, 0.0))
+    body = (body - groove).rotate((0, 0, float(np.degrees(azimuth))))
+    body = body.translate((place.x, place.y, 0.0))
+    return body if cable is None else body - cable
+
+
+@dataclass(frozen=True)
+class Balance:
+    """How a body stands: its centre of mass over the hull of what touches the floor."""
+
+    centre: tuple[float, float, float]
+    tilt_degrees: float
+    """How far it can be tilted before it falls; negative: it falls by itself."""
+
+
+def balance(centre: Floats, footprint: Floats) -> Balance:
+    """``footprint (N, 2)``: the convex hull, counterclockwise, of what touches the floor."""
+    if len(footprint) < 3:
+        return Balance((float(centre[0]), float(centre[1]), float(centre[2])), -90.0)
+    along = np.roll(footprint, -1, axis=0) - footprint
+    length = np.linalg.norm(along, axis=1)
+    whole = length > 1e-9
+    inward = np.stack([-along[:, 1], along[:, 0]], axis=1)[whole] / length[whole, None]
+    margin = float(np.einsum("ij,ij->i", centre[:2] - footprint[whole], inward).min())
+    tilt = float(np.degrees(np.arctan2(margin, max(float(centre[2]), 1e-9))))
+    return Balance((float(centre[0]), float(centre[1]), float(centre[2])), tilt)
+
+
+def footprint(body: Any) -> Floats:
+    """The convex hull of what ``body`` touches the floor with, ``(N, 2)``, counterclockwise."""
+    hull = body.slice(0.05).hull()
+    polygons = hull.to_polygons()
+    return np.asarray(polygons[0], dtype=np.float64) if len(polygons) else np.zeros((0, 2))
+
+
+def foot(solid: Any, centre: Floats) -> tuple[Any, bool]:
+    """The lowest slab of the shape; widened to carry ``centre``, the centre of mass, if need be.
+
+    The second value says whether it was widened.
+    """
+    slab = solid.trim_by_plane((0, 0, 1), 0.0).trim_by_plane((0, 0, -1), -FOOT)
+    outline = footprint(slab)
+    if balance(centre, outline).tilt_degrees >= TILT:
+        return slab, False
+    return slab + outline_over(outline, centre, 0.0).extrude(FOOT), True
+
+
+def outline_over(footprint: Floats, centre: Floats, margin: float) -> Any:
+    """A convex outline over ``footprint`` on which the lamp stands with some reserve to TILT."""
+    from manifold3d import CrossSection
+
+    reserve = 1.1 * float(np.tan(np.radians(TILT))) * float(centre[2]) + 1.0
+    disc = CrossSection.circle(reserve, SEGMENTS).translate((float(centre[0]), float(centre[1])))
+    corners = np.concatenate([*disc.to_polygons(), footprint])
+    hull = CrossSection.hull_points(corners)
+    return hull.offset(margin) if margin else hull

@@ -1,0 +1,127 @@
+"""The object as a printer lays it: layer by layer, on a grid as fine as the nozzle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import compiled
+from ..surface.polygons import Floats, Ints
+
+MOST_CELLS = 600
+"""Cells along the longest side of a layer; the grid is coarser than the nozzle beyond that."""
+LEAST_ISLAND = 4
+"""Cells; what is smaller is the grid's, not the object's."""
+
+
+@dataclass(frozen=True)
+class Islands:
+    """Parts of layers that begin in the air."""
+
+    places: Floats
+    """Their middles ``(K, 3)``, the widest first, in mm."""
+    areas: Floats
+    """In mm^2."""
+    layers: int
+    empty_layers: int
+
+
+def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> Islands:
+    """Parts of each layer that touch nothing of the layer below, diagonally neither."""
+    from scipy import ndimage
+
+    touch = np.ones((3, 3), bool)
+    below: NDArray[np.bool_] | None = None
+    places, areas = [], []
+    count = empty = 0
+    for z, mask, origin, pitch in masks(vertices, triangles, layer, nozzle):
+        count += 1
+        empty += not mask.any()
+        labels, parts = ndimage.label(mask, touch)
+        if below is not None and parts:
+            held = np.unique(labels[ndimage.binary_dilation(below, touch)])
+            size = np.bincount(labels.ravel(), minlength=parts + 1)
+            loose = np.setdiff1d(np.arange(1, parts + 1), held)
+            for part in loose[size[loose] >= LEAST_ISLAND].tolist():
+                row, column = np.nonzero(labels == part)
+                middle = origin + pitch * (np.array([row.mean(), column.mean()]) + 0.5)
+                places.append([*middle, z])
+                areas.append(size[part] * pitch**2)
+        below = mask
+    order = np.argsort(-np.array(areas), kind="stable")
+    return Islands(
+        np.array(places, dtype=np.float64).reshape(-1, 3)[order],
+        np.array(areas, dtype=np.float64)[order],
+        count,
+        empty,
+    )
+
+
+def masks(
+    vertices: Floats, triangles: Ints, layer: float, nozzle: float
+) -> Iterator[tuple[float, NDArray[np.bool_], Floats, float]]:
+    """Height of each layer's middle, which cells of the grid are inside there ``(X, Y)``, the
+    grid's origin and its pitch in mm."""
+    vertices = np.asarray(vertices, dtype=np.float64)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    pitch = max(nozzle, float((high - low)[:2].max()) / MOST_CELLS)
+    # Off the round numbers at which objects have corners and upright walls.
+    origin = low[:2] - pitch * (1 + 0.137 * np.array([1.0, 0.71]))
+    shape = np.ceil((high[:2] - origin) / pitch + 1).astype(np.int64)
+    heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
+    corner_z = vertices[triangles][..., 2]
+    first = np.searchsorted(heights, corner_z.min(axis=1))
+    last = np.searchsorted(heights, corner_z.max(axis=1))
+    crossing = np.flatnonzero(last > first)
+    spans = (last - first)[crossing]
+    of = np.repeat(crossing, spans)
+    which = np.arange(len(of)) - np.repeat(np.cumsum(spans) - spans, spans) + first[of]
+    order = np.argsort(which, kind="stable")
+    of, which = of[order], which[order]
+    starts = np.searchsorted(which, np.arange(len(heights) + 1))
+    flips = np.empty(tuple(shape), np.bool_)
+    for k, z in enumerate(heights.tolist()):
+        flips[:] = False
+        _cross(vertices, triangles[of[starts[k] : starts[k + 1]]], z, origin, pitch, flips)
+        yield z, np.logical_xor.accumulate(flips, axis=1), origin, pitch
+
+
+@compiled
+def _cross(vertices: Any, triangles: Any, z: float, origin: Any, pitch: float, flips: Any) -> None:
+    """Mark in each row the cell from which on inside and outside change places."""
+    rows, columns = flips.shape
+    for t in range(len(triangles)):
+        found = 0
+        ax = ay = bx = by = 0.0
+        for k in range(3):
+            i, j = triangles[t, k], triangles[t, (k + 1) % 3]
+            if i > j:  # the same arithmetic from either side of an edge
+                i, j = j, i
+            zi, zj = vertices[i, 2], vertices[j, 2]
+            if (zi < z) == (zj < z):
+                continue
+            share = (z - zi) / (zj - zi)
+            x = vertices[i, 0] + share * (vertices[j, 0] - vertices[i, 0])
+            y = vertices[i, 1] + share * (vertices[j, 1] - vertices[i, 1])
+            if found == 0:
+                ax, ay = x, y
+            else:
+                bx, by = x, y
+            found += 1
+        if found != 2:
+            continue
+        if ax > bx:
+            ax, ay, bx, by = bx, by, ax, ay
+        start = max(int(np.ceil((ax - origin[0]) / pitch - 0.5)), 0)
+        stop = min(int(np.ceil((bx - origin[0]) / pitch - 0.5)), rows)
+        for row in range(start, stop):
+            x = origin[0] + (row + 0.5) * pitch
+            share = (x - ax) / (bx - ax)
+            y = ay + share * (by - ay)
+            column = int(np.ceil((y - origin[1]) / pitch - 0.5))
+            column = min(max(column, 0), columns - 1)
+            flips[row, column] ^= True

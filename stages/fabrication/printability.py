@@ -1,0 +1,211 @@
+"""Whether an object will print: checks with a verdict each, and the places that are worst."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..surface.geometry import triangle_areas, triangle_normals
+from ..surface.polygons import Floats, Ints
+from . import layers
+from .base import TILT, Balance
+from .tubes import TubeGraph
+
+WORST = 5
+"""Places that are kept of each check."""
+BRIDGE = 10.0
+"""A printer spans this many mm without support; longer bridges sag."""
+LEVEL = 15.0
+"""A tube that rises by fewer degrees is a bridge."""
+STEEP, FLAT = 45.0, 70.0
+"""Degrees from upright from which on a downward side is an overhang, or nearly a ceiling."""
+MOST_FLAT = 0.2
+"""Share of the surface that may be nearly a ceiling before it is worth a warning."""
+THIN = 1e-3
+"""Rounding to 32 bits that a wall may lose, in mm."""
+ALONG = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Where on a tube's axis its thickness is measured."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: ``verdict`` is ok, warn, fail or not run."""
+
+    name: str
+    verdict: str
+    value: float | None
+    limit: float | None
+    unit: str
+    text: str
+    worst: list[list[float]] = field(default_factory=list)
+    """Places (x, y, z) in mm, the worst first."""
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def _places(points: Iterable[Any]) -> list[list[float]]:
+    return [[round(float(x), 3) for x in point] for point in list(points)[:WORST]]
+
+
+def wall(
+    vertices: Floats,
+    triangles: Ints,
+    axes: Floats,
+    plates: Floats,
+    plate_thickness: float,
+    nozzle: float,
+    layer: float,
+) -> list[Check]:
+    """Thickness of tubes and plates, measured on the finished mesh.
+
+    Twice the distance from a point of an axis, or from the middle of a plate, to the surface.
+    ``axes`` are points of tube axes that lie inside the object.
+    """
+    import igl
+
+    surface = np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
+    found = []
+    for name, points, limit, wanted in (
+        ("tubes", axes, 2 * nozzle, None),
+        ("plates", plates, 2 * layer, plate_thickness),
+    ):
+        if len(points) == 0:
+            continue
+        thickness = 2 * np.sqrt(igl.point_mesh_squared_distance(points, *surface)[0])
+        order = np.argsort(thickness)
+        least = float(thickness[order[0]])
+        thin = int((thickness < limit - THIN).sum())
+        text = f"thinnest {least:.2f} mm of at least {limit:g}"
+        if wanted is not None:
+            text += f" (asked for {wanted:g})"
+        verdict, worst = "fail" if thin else "ok", _places(points[order])
+        found.append(Check(name, verdict, round(least, 4), limit, "mm", text, worst))
+    return found
+
+
+def axis_points(graph: TubeGraph, keep: Any) -> Floats:
+    """Points ``(P, 3)`` on the tubes' axes for which ``keep(points)`` holds."""
+    ends = graph.nodes[graph.tubes]
+    points = np.concatenate([(1 - t) * ends[:, 0] + t * ends[:, 1] for t in ALONG])
+    return np.asarray(points[keep(points)])
+
+
+def bridges(graph: TubeGraph, keep: Any) -> Check:
+    """Tubes that are nearly level: how far they span."""
+    ends = graph.nodes[graph.tubes]
+    along = ends[:, 1] - ends[:, 0]
+    across = np.linalg.norm(along[:, :2], axis=1)
+    rise = np.degrees(np.arctan2(np.abs(along[:, 2]), across))
+    level = np.flatnonzero((rise < LEVEL) & keep(ends.mean(axis=1)))
+    order = level[np.argsort(-across[level], kind="stable")]
+    longest = float(across[order[0]]) if len(order) else 0.0
+    long = int((across[level] > BRIDGE).sum())
+    return Check(
+        "bridges", "warn" if long else "ok", round(longest, 3), BRIDGE, "mm",
+        f"longest {longest:.1f} mm; {long} over {BRIDGE:g} mm of {len(level)} nearly level tubes",
+        _places(ends.mean(axis=1)[order]),
+    )  # fmt: skip
+
+
+def floating(graph: TubeGraph, keep: Any) -> Check:
+    """Nodes of the tubes that have no lower neighbour: the printer begins them in the air."""
+    start, stop = graph.tubes.T
+    z = graph.nodes[:, 2]
+    lowest = np.full(len(z), np.inf)
+    np.minimum.at(lowest, start, z[stop])
+    np.minimum.at(lowest, stop, z[start])
+    hanging = np.flatnonzero((z < lowest) & np.isfinite(lowest) & keep(graph.nodes))
+    order = hanging[np.argsort(z[hanging] - lowest[hanging], kind="stable")]
+    return Check(
+        "floating starts", "warn" if len(order) else "ok", float(len(order)), 0.0, "nodes",
+        f"{len(order)} of {len(z)} nodes have no lower neighbour", _places(graph.nodes[order]),
+    )  # fmt: skip
+
+
+def layered(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> list[Check]:
+    """Islands, and layers without anything, on the finished mesh."""
+    found = layers.islands(vertices, triangles, layer, nozzle)
+    widest = float(found.areas[0]) if len(found.areas) else 0.0
+    return [
+        Check(
+            "islands", "warn" if len(found.areas) else "ok", float(len(found.areas)), 0.0, "",
+            f"{len(found.areas)} parts of layers begin in the air, the widest {widest:.1f} mm2",
+            _places(found.places),
+        ),
+        Check(
+            "layers", "fail" if found.empty_layers else "ok", float(found.layers), None, "",
+            f"{found.layers} layers of {layer:g} mm, {found.empty_layers} of them empty",
+        ),
+    ]  # fmt: skip
+
+
+def overhangs(vertices: Floats, triangles: Ints) -> Check:
+    """Shares of the surface that look down, beyond STEEP and FLAT; what stands on the floor not."""
+    vertices = np.asarray(vertices, dtype=np.float64)
+    area = triangle_areas(vertices, triangles)
+    normal = triangle_normals(vertices, triangles)[0]
+    middle = vertices[triangles].mean(axis=1)
+    down = (normal[:, 2] < 0) & (middle[:, 2] > vertices[:, 2].min() + 1e-3)
+    # A side that hangs over by an angle from upright looks down by its sine.
+    steep = down & (-normal[:, 2] > np.sin(np.radians(STEEP)))
+    flat = down & (-normal[:, 2] > np.sin(np.radians(FLAT)))
+    total = float(area.sum())
+    shares = [float(area[which].sum()) / total for which in (steep, flat)]
+    ceiling = np.flatnonzero(flat)
+    order = ceiling[np.argsort(-area[ceiling], kind="stable")]
+    return Check(
+        "overhangs", "warn" if shares[1] > MOST_FLAT else "ok", round(shares[1], 4), MOST_FLAT,
+        "share",
+        f"{100 * shares[0]:.0f} % of the surface hangs over by {STEEP:g} degrees or more, "
+        f"{100 * shares[1]:.0f} % by {FLAT:g}",
+        _places(middle[order]),
+    )  # fmt: skip
+
+
+def sealed(centres: Floats, sizes: Floats, count: int) -> Check:
+    """Faces that the tubes close; ``sizes`` are their openings, negative where tubes overlap."""
+    order = np.argsort(sizes, kind="stable")
+    return Check(
+        "sealed faces", "warn" if len(order) else "ok", float(len(order)), 0.0, "faces",
+        f"{len(order)} of {count} faces leave no gap as wide as the nozzle and are closed",
+        _places(centres[order]),
+    )  # fmt: skip
+
+
+def bed(size: tuple[float, float, float], room: tuple[float, float, float]) -> Check:
+    """Whether the object, maybe turned by a right angle, fits the printer."""
+    fits = (
+        sorted(size[:2])[0] <= sorted(room[:2])[0]
+        and sorted(size[:2])[1] <= sorted(room[:2])[1]
+        and size[2] <= room[2]
+    )
+    return Check(
+        "bed", "ok" if fits else "fail", round(max(size), 2), max(room), "mm",
+        f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm on "
+        f"{room[0]:g} x {room[1]:g} x {room[2]:g}",
+    )  # fmt: skip
+
+
+def stability(found: Balance) -> Check:
+    """How far the object can be tilted before it falls."""
+    tilt = found.tilt_degrees
+    verdict = "fail" if tilt <= 0 else "ok" if tilt >= TILT else "warn"
+    return Check(
+        "stability", verdict, round(tilt, 2), TILT, "degrees",
+        f"stands until tilted by {tilt:.0f} degrees" if tilt > 0
+        else "its centre of mass is not over its base: it falls",
+        _places([found.centre]),
+    )  # fmt: skip
+
+
+def openness(area: float, closed: float) -> Check:
+    """The share of the surface that lets light out: what neither plates nor tubes cover."""
+    share = 1 - closed / area
+    return Check(
+        "open area", "ok" if share >= 0.1 else "warn", round(share, 4), 0.1, "share",
+        f"{100 * share:.0f} % of the surface is open",
+    )  # fmt: skip

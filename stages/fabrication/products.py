@@ -1,0 +1,381 @@
+"""What can be made of a shape: tubes with plates and a base, solids and shells, cells apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import NumericalFailure, UsageError
+from ..surface.geometry import face_frames
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from . import assembly, base, lamp, plates, printability, tubes
+from . import solid as solids
+from .assembly import Part
+from .lamp import Request, Stance, Stand
+from .printability import Check
+
+if TYPE_CHECKING:
+    from ..contract import Progress
+
+CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.8, 3.0, 8.0
+"""Default tube diameter over the radius of the faces, and its limits in nozzle widths."""
+MOST_SEALED = 0.5
+"""Tubes that close more of the faces than this are refused."""
+MOST_DROPPED = 1.0
+"""Volume in mm^3 that may be lost with parts that hang on nothing."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What an object is made of, in the input's coordinates."""
+
+    polygons: PolygonMesh
+    """Whose edges the tubes follow."""
+    surface: PolygonMesh
+    """Closed; its inside is the object's."""
+    drawn: str
+    volume: Mapping[str, Any] | None
+    """Arrays of stage volume, where cells are asked for."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """How tubes and plates are made, in mm."""
+
+    edges: str
+    diameter: float | None
+    taper: float
+    sides: int
+    fillet: bool
+    merge: float | None
+    plates: float
+    plate_pattern: str
+    plate_thickness: float
+    cable: float | None
+    nozzle: float
+    layer: float
+    check: Callable[[float], None]
+    """Raises UsageError for a diameter that does not fit the rest."""
+
+
+@dataclass(frozen=True)
+class Product:
+    """An object in mm, ready to be written."""
+
+    name: str
+    part: Part
+    mm_from_input: Floats
+    expected_bodies: int = 1
+    lid: Part | None = None
+    light_at: tuple[float, float, float] | None = None
+    arrays: dict[str, Any] = field(default_factory=dict)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    measured: list[Check] = field(default_factory=list)
+    """Checks that need more than the finished mesh."""
+
+    def checks(self, room: tuple[float, float, float], nozzle: float, layer: float) -> list[Check]:
+        """All checks: of the finished mesh, and those measured while it was made."""
+        vertices, triangles = self.part.vertices, self.part.triangles
+        size = np.ptp(vertices, axis=0)
+        found = [printability.bed((float(size[0]), float(size[1]), float(size[2])), room)]
+        found += self.measured
+        if self.expected_bodies == 1:
+            found += printability.layered(vertices, triangles, layer, nozzle)
+            found.append(printability.overhangs(vertices, triangles))
+        return found
+
+
+def _closed(body: Any, name: str, loss: str) -> Part:
+    """One printable part. Raises NumericalFailure when more than MOST_DROPPED is not connected."""
+    part = assembly.largest(body)
+    if part.dropped_volume > MOST_DROPPED:
+        raise NumericalFailure(
+            f"{part.dropped_parts} pieces of together {part.dropped_volume:.1f} mm3 are not "
+            f"connected to the {name}; {loss}"
+        )
+    return part
+
+
+def _standing(body: Any) -> tuple[Check, dict[str, Any]]:
+    centre = np.asarray(_centre(body))
+    found = base.balance(centre, base.footprint(body))
+    return printability.stability(found), {"centre_of_mass_mm": list(found.centre)}
+
+
+def _centre(body: Any) -> Floats:
+    """Centre of mass of a body ``(3,)``."""
+    mesh = body.to_mesh64()
+    corners = np.asarray(mesh.vert_properties[:, :3])[np.asarray(mesh.tri_verts, dtype=np.int64)]
+    six = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return np.asarray(six @ corners.sum(axis=1) / (4 * six.sum()))
+
+
+def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
+    """The surface as a solid, or as a shell of ``wall`` mm that is open below."""
+    stance = lamp.stand(shape.polygons, shape.surface, asked)
+    surface = stance.apply(shape.surface)
+    body = base.solid_of(surface) if wall is None else solids.shell(surface, wall)
+    if stance.base != "none":
+        body = body.trim_by_plane((0, 0, 1), stance.lift)
+    made = lamp.bodies(stance, surface, surface, 0.0)
+    if stance.base == "pedestal":
+        body = assembly.union([body, *made.add])
+    part = _closed(body, "solid", "print them one by one")
+    stable, metrics = _standing(body)
+    return Product(
+        "shell" if wall is not None else "solid",
+        part,
+        stance.mm_from_input,
+        measured=[stable],
+        metrics=metrics | _facts(part, stance),
+    )
+
+
+def exploded(shape: Shape, asked: Request, factor: float) -> Product:
+    """The cells of the volume, apart: to look at, and a body each."""
+    assert shape.volume is not None
+    vertices, triangles = solids.exploded(shape.volume, factor)
+    matrix = lamp.mm_from_input(vertices, asked.up, asked.height, 0.0, 0.0)
+    placed = (vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+    six = placed[triangles].astype(np.float64)
+    volume = float(np.einsum("ij,ij->", six[:, 0], np.cross(six[:, 1], six[:, 2]))) / 6
+    cells = int(np.asarray(shape.volume["face_owner"]).max()) + 1
+    return Product(
+        "cells",
+        Part(placed, triangles, volume, 0, 0, 0.0),
+        matrix,
+        expected_bodies=cells,
+        metrics={"cells": cells, "explode": factor, "volume_mm3": volume},
+        warnings=["the cells are separate bodies: to look at, or to print one by one"],
+    )
+
+
+def tubes_of(
+    shape: Shape, asked: Request, design: Design, random: np.random.Generator, progress: Progress
+) -> Product:
+    """Tubes along edges; with plates, a base and a cavity as far as asked for.
+
+    Raises UsageError when the tubes would close most faces, and NumericalFailure when the result
+    is not one body.
+    """
+    # The scale decides the default diameter, which decides how much room tubes take: twice round.
+    first = lamp.stand(shape.polygons, shape.surface, replace(asked, light=None))
+    diameter = design.diameter
+    if diameter is None:
+        diameter = _default_diameter(first.apply(shape.polygons), design.nozzle)
+    design.check(diameter)
+    stance = lamp.stand(shape.polygons, shape.surface, replace(asked, overhang=diameter / 2))
+    surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
+    graph = _graph(shape, stance, polygons, design, diameter)
+    radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
+    outer = radii * tubes.compensation(tubes.ball(design.sides))
+    gaps = plates.openings(graph.faces, outer)
+    closed = np.flatnonzero(gaps < design.nozzle / 2)
+    if len(closed) > MOST_SEALED * max(graph.faces.face_count, 1):
+        raise UsageError(_too_thick(graph, gaps, closed, design, diameter))
+    bodies = tubes.tubes(graph, radii, design.sides, design.fillet)
+    progress.advance(1, f"{len(bodies)} tubes")
+    chosen = plates.choose(graph.faces, design.plates, design.plate_pattern, random)
+    panes = np.union1d(chosen, closed)
+    thickness = min(design.plate_thickness, float(2 * radii.min()))
+    bodies += plates.plates(graph.faces, panes, thickness)
+    lattice = assembly.union(bodies)
+    progress.advance(2, "base")
+    cable = design.cable
+    if cable is None:
+        cable = asked.light.cable if asked.light is not None else 0.0
+    made = lamp.bodies(stance, surface, polygons, cable)
+    body = lattice
+    for added in made.add:
+        body += added
+    for taken in made.remove:
+        body -= taken
+    if stance.base != "none":
+        body = body.trim_by_plane((0, 0, 1), 0.0)
+    part = _closed(body, "object", "raise --height or --tube-diameter, or lower --merge")
+    lid = None if made.lid is None else assembly.largest(made.lid)
+    inside_out = _uncut(stance, diameter, cable)
+    area, _, centre = face_frames(graph.faces)
+    checks = printability.wall(
+        part.vertices,
+        part.triangles,
+        printability.axis_points(graph, inside_out),
+        centre[panes][inside_out(centre[panes])],
+        thickness,
+        design.nozzle,
+        design.layer,
+    )
+    checks += [
+        printability.bridges(graph, inside_out),
+        printability.floating(graph, inside_out),
+        printability.sealed(centre[closed], gaps[closed], graph.faces.face_count),
+    ]
+    metrics: dict[str, Any] = {}
+    if stance.base != "none":
+        stable, metrics = _standing(body)
+        checks.append(stable)
+    if stance.place is not None:
+        openness = (np.maximum(gaps, 0) / np.maximum(gaps + outer.mean(), 1e-300)) ** 2
+        openness[panes] = 0
+        checks.append(printability.openness(float(area.sum()), float(area @ (1 - openness))))
+    handles = assembly.handles(lattice)
+    touching = handles - (graph.loops - len(panes))
+    metrics |= _facts(part, stance) | {
+        "up": asked.up,
+        "drawn": shape.drawn if design.edges == "surface" else f"edges of the {design.edges}",
+        "tube_diameter_mm": diameter,
+        "tubes": len(graph.tubes),
+        "plates": len(chosen),
+        "sealed_faces": graph.face_sources[closed].tolist(),
+        "edges_mean_mm": float(graph.lengths.mean()),
+        "lattice": {
+            "edges_less_nodes_plus_parts": graph.loops,
+            "closed_faces": len(panes),
+            "genus": handles,
+            "unexplained": touching,
+        },
+    }
+    return Product(
+        name="lamp" if stance.place is not None else "lattice",
+        part=part,
+        mm_from_input=stance.mm_from_input,
+        lid=lid,
+        light_at=_light_at(stance, surface),
+        arrays={
+            "nodes": graph.nodes,
+            "tubes": graph.tubes,
+            "radii": radii,
+            "plates": graph.face_sources[chosen],
+        },
+        metrics=metrics,
+        warnings=_warnings(
+            shape, asked, design, stance, made, len(chosen), graph, touching
+        ),
+        measured=checks,
+    )
+
+
+def _warnings(
+    shape: Shape, asked: Request, design: Design, stance: Stance, made: Stand, plated: int,
+    graph: tubes.TubeGraph, unexplained: int,
+) -> list[str]:  # fmt: skip
+    said = []
+    if shape.drawn == "trained polygons" and design.edges == "surface":
+        said.append("the trained polygons are drawn: the interface of their generators has slivers")
+    if stance.base == "pedestal" and asked.base == "auto" and stance.room is not None:
+        said.append(
+            f"the light does not fit inside the shape (up to {max(stance.room, 0):.0f} mm wide "
+            "would): it stands in a pedestal"
+        )
+    if stance.base != "none" and asked.trim is None and stance.trim > lamp.TRIMS[0]:
+        said.append(
+            f"{100 * stance.trim:.0f} % of the height were cut off to make room for the light"
+        )
+    if made.widened:
+        said.append("the foot was made wider than the shape, which would not stand on its own")
+    wanted = round(design.plates * graph.faces.face_count)
+    if plated < wanted:
+        said.append(f"{plated} of {wanted} plates: more would leave too little of it open")
+    if unexplained and design.edges == "surface":
+        said.append(
+            f"tubes touch in {abs(unexplained)} places where no face closes (the shape is thin "
+            "there)"
+        )
+    return said
+
+
+def _graph(
+    shape: Shape, stance: Stance, polygons: PolygonMesh, design: Design, diameter: float
+) -> tubes.TubeGraph:
+    weld = diameter / 2 if design.merge is None else design.merge
+    if design.edges == "surface":
+        return tubes.tube_graph(polygons, weld)
+    assert shape.volume is not None
+    wanted = solids.edges_of(shape.volume, design.edges)
+    mesh = stance.apply(PolygonMesh.from_arrays(shape.volume))
+    if design.edges == "volume":
+        key = mesh.vertex_count
+        sides = np.sort(np.stack([mesh.face_vertices, mesh.next_vertices], axis=1), axis=1)
+        there = np.isin(sides @ [key, 1], wanted @ [key, 1])
+        mesh = mesh.select_faces(np.bincount(mesh.corner_faces, ~there) == 0)
+    return tubes.tube_graph(mesh, weld, wanted)
+
+
+def _default_diameter(polygons: PolygonMesh, nozzle: float) -> float:
+    """In mm, from the radius of the faces of ``polygons``."""
+    radius = float(np.median(plates.openings(polygons, np.zeros(polygons.vertex_count))))
+    wanted = np.clip(CELL_TO_TUBE * radius, LEAST_NOZZLES * nozzle, MOST_NOZZLES * nozzle)
+    return float(np.round(wanted, 2))
+
+
+def _too_thick(
+    graph: tubes.TubeGraph, gaps: Floats, closed: Ints, design: Design, diameter: float
+) -> str:
+    named = ", ".join(map(str, graph.face_sources[closed[np.argsort(gaps[closed])[:5]]].tolist()))
+    most = diameter + 2 * float(np.median(gaps)) - design.nozzle
+    way = (
+        f"at most {most:.1f} keeps half of them open: lower it, "
+        if most >= 2 * design.nozzle
+        else ""
+    )
+    return (
+        f"--tube-diameter {diameter:g}: would close {len(closed)} of {graph.faces.face_count} "
+        f"faces (first {named}); {way}raise --height or make larger cells with -n or --edge-length"
+    )
+
+
+def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], Any]:
+    """Tells which points of axes keep clear of the floor, the base and what is carved out."""
+    floor = stance.lift + diameter + (cable if stance.lift == 0 and stance.place else 0.0)
+    if stance.base == "footprint" and stance.lift == 0:
+        floor = max(floor, base.FOOT + diameter)
+
+    def keep(points: Floats) -> Any:
+        clear = points[:, 2] > (floor if stance.base != "none" else -np.inf)
+        if stance.place is not None and stance.cavity is not None:
+            away = np.hypot(points[:, 0] - stance.place.x, points[:, 1] - stance.place.y)
+            for room in stance.cavity.rooms(0.0):
+                near = (away < room.radius + diameter) & (points[:, 2] < room.high + diameter)
+                clear &= ~near
+        return clear
+
+    return keep
+
+
+def _facts(part: Part, stance: Stance) -> dict[str, Any]:
+    """Figures of any product that stands."""
+    found: dict[str, Any] = {
+        "base": stance.base,
+        "trim": stance.trim,
+        "pedestal_mm": stance.lift,
+        "genus": part.genus,
+        "volume_mm3": part.volume,
+        "dropped_parts": part.dropped_parts,
+        "dropped_volume_mm3": part.dropped_volume,
+    }
+    if stance.place is not None and stance.cavity is not None:
+        cavity = stance.cavity
+        found["light"] = {
+            "x_mm": stance.place.x,
+            "y_mm": stance.place.y,
+            "light_diameter_mm": cavity.light.diameter,
+            "cavity_diameter_mm": 2 * cavity.radius,
+            "cavity_height_mm": cavity.height,
+            "cup_height_mm": cavity.top,
+            "largest_inside_mm": stance.room,
+            "proved_inside": stance.base == "footprint" or cavity.bulb is not None,
+        }
+    return found
+
+
+def _light_at(stance: Stance, surface: PolygonMesh) -> tuple[float, float, float] | None:
+    """Where the light is for pictures: over the cup, inside the shape."""
+    if stance.place is None or stance.cavity is None:
+        return None
+    top = float(surface.vertices[:, 2].max())
+    low = stance.cavity.top
+    return stance.place.x, stance.place.y, low + 0.15 * (top - low)

@@ -1,0 +1,69 @@
+"""A lamp with its light on, path traced by Mitsuba in a child process."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BackendMissing, NumericalFailure
+from ..surface.polygons import Ints
+
+SIZE = 640
+SAMPLES = 128
+SECONDS = 1800
+
+
+def png(
+    vertices: NDArray[np.float32],
+    triangles: Ints,
+    light: tuple[float, float, float] | None,
+    threads: int,
+    samples: int = SAMPLES,
+    size: int = SIZE,
+) -> bytes:
+    """The PNG of an object in mm that stands at z = 0, in a dark room with a ``light`` inside it
+    (None: in daylight).
+
+    Raises BackendMissing without Mitsuba, and NumericalFailure when it fails.
+    """
+    from importlib.util import find_spec
+
+    from ..export import ply
+    from ..surface.polygons import PolygonMesh
+
+    if find_spec("mitsuba") is None:
+        raise BackendMissing(
+            "--render: Mitsuba is not installed; pip install 'vorolight[render]', or leave it out: "
+            "the report has a picture without shadows"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        mesh, target = Path(folder) / "object.ply", Path(folder) / "object.png"
+        mesh.write_bytes(
+            ply.encode(PolygonMesh.of_triangles(vertices.astype(np.float64), triangles))
+        )
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        asked = {
+            "mesh": str(mesh), "target": str(target), "light": light, "threads": threads,
+            "low": low.tolist(), "high": high.tolist(), "samples": samples, "size": size,
+        }  # fmt: skip
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "vorolight.stages.render.lit_child", json.dumps(asked)],
+                capture_output=True, text=True, errors="replace", timeout=SECONDS,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise NumericalFailure(
+                f"--render: Mitsuba did not end within {SECONDS // 60} minutes; leave it out"
+            ) from None
+        if done.returncode or not target.exists():
+            said = (done.stderr.strip().splitlines() or ["no output"])[-1][:200]
+            raise NumericalFailure(
+                f"--render: Mitsuba ended with {done.returncode} ({said}); leave it out"
+            )
+        return target.read_bytes()

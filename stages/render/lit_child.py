@@ -1,0 +1,90 @@
+"""The child process of ``lit``: Mitsuba's variants may end the process that they run in."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import numpy as np
+
+AZIMUTH, ELEVATION = -60.0, 16.0
+FIELD_OF_VIEW = 30.0
+
+
+def scene(asked: dict[str, Any]) -> dict[str, Any]:
+    """A plastic object on a table, with a warm sphere of light inside it or a bright sky."""
+    import mitsuba as mi
+
+    low, high = np.array(asked["low"]), np.array(asked["high"])
+    middle = 0.5 * (low + high)
+    reach = 0.5 * float(np.linalg.norm(high - low))
+    turn, rise = np.radians([AZIMUTH, ELEVATION])
+    towards = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+    eye = middle + towards * 1.12 * reach / np.sin(np.radians(FIELD_OF_VIEW / 2))
+    found: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 8},
+        "sensor": {
+            "type": "perspective",
+            "fov": FIELD_OF_VIEW,
+            "to_world": mi.ScalarTransform4f().look_at(
+                origin=eye.tolist(), target=middle.tolist(), up=[0, 0, 1]
+            ),
+            "sampler": {"type": "multijitter", "sample_count": asked["samples"]},
+            "film": {
+                "type": "hdrfilm",
+                "width": asked["size"],
+                "height": asked["size"],
+                "rfilter": {"type": "gaussian"},
+            },
+        },
+        "object": {
+            "type": "ply",
+            "filename": asked["mesh"],
+            "face_normals": True,
+            "bsdf": {
+                "type": "twosided",
+                "material": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.82}},
+            },
+        },
+        "table": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0, float(low[2]) - 0.05])
+            @ mi.ScalarTransform4f().scale(12 * reach),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.36, 0.33]}},
+        },
+    }
+    night = asked["light"] is not None
+    sky = [0.012, 0.014, 0.022] if night else [0.9, 0.92, 1.0]
+    found["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": sky}}
+    if night:
+        radius = 0.05 * reach
+        strength = 26.0 * (reach / (20 * radius)) ** 2
+        found["light"] = {
+            "type": "sphere",
+            "center": list(asked["light"]),
+            "radius": radius,
+            "emitter": {
+                "type": "area",
+                "radiance": {
+                    "type": "rgb", "value": [strength * c for c in (1.0, 0.62, 0.28)],
+                },
+            },
+        }  # fmt: skip
+    return found
+
+
+def main() -> None:
+    """Draw what the first argument, JSON, asks for."""
+    import mitsuba as mi
+
+    asked = json.loads(sys.argv[1])
+    mi.set_variant("scalar_rgb")
+    mi.Thread.set_thread_count(asked["threads"]) if hasattr(mi, "Thread") else None
+    image = mi.render(mi.load_dict(scene(asked)))
+    mi.util.write_bitmap(asked["target"], image)
+
+
+if __name__ == "__main__":
+    main()
