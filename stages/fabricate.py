@@ -44,7 +44,7 @@ class Params(contract.Params):
     """Whose edges become tubes: the surface's, the volume's inner ones, or both (of the volume);
     default: both for --cells, else surface."""
     tube_diameter: Annotated[float, Length(), Range(0.1, 100)] | None = None
-    """Diameter of the tubes; default: 0.8 of the radius of the cells' faces, but three to eight
+    """Diameter of the tubes; default: 0.6 of the radius of the cells' faces, but 2.5 to 8
     nozzle widths."""
     taper: Annotated[float, Range(0.1, 1)] = 1.0
     """Diameter of the tubes at the top, over that at the bottom."""

@@ -20,6 +20,20 @@ def _surface(topology: dict[str, Any]) -> str:
     )
 
 
+def _object(metrics: dict[str, Any]) -> str:
+    written = metrics["as_written"]
+    parts = "".join(
+        f"{metrics[key]} {key}, " for key in ("tubes", "plates", "cells") if key in metrics
+    )
+    text = f"{metrics['mode']}: {parts}{written['size_mm'][2]:.1f} mm high, re-read: watertight, "
+    text += "1 body" if written["bodies"] == 1 else f"{written['bodies']} bodies"
+    sliced = written.get("slicer")
+    if sliced:
+        text += f"; sliced: {sliced['layers']} layers, {sliced['filament_g']:.0f} g"
+        text += f", {sliced['printing_time']}"
+    return text
+
+
 def of(manifest: dict[str, Any], console: Console) -> str:
     """One line for a stage, a table for an evaluation."""
     stage, metrics = manifest["stage"], manifest["metrics"]
@@ -49,11 +63,7 @@ def of(manifest: dict[str, Any], console: Console) -> str:
             f"{len(metrics['held_out_views'])} held out: {_number(metrics['held_out_psnr'])} dB"
         ),
         "evaluate": lambda: f"surface of {metrics['of']}",
-        "fabricate": lambda: (
-            f"{metrics['tubes']} tubes, {metrics['plates']} plates, "
-            f"{metrics['as_written']['size_mm'][2]:.1f} mm high, re-read: watertight, "
-            f"{metrics['as_written']['bodies']} body"
-        ),
+        "fabricate": lambda: _object(metrics),
     }[stage]()
     line = f"{console.strong(stage)}: {text} ({seconds})"
     return line if stage != "evaluate" else f"{line}\n{evaluation_table(metrics)}"

@@ -96,16 +96,26 @@ def lies_within(rooms: list[Room], place: Place, solid: Any) -> bool:
     return all((body - solid).volume() <= OUTSIDE * body.volume() for body in bodies)
 
 
-def channel_direction(outline: Floats, place: Place) -> float:
-    """Azimuth, in radians, of the shortest way from the axis to the rim of ``outline (N, 2)``."""
+def _nearest(outline: Floats, place: Place) -> Floats:
+    """The point of the closed line ``outline (N, 2)`` that is nearest to the axis, from there."""
     offset = np.asarray(outline) - [place.x, place.y]
-    following = np.roll(offset, -1, axis=0)
-    along = following - offset
+    along = np.roll(offset, -1, axis=0) - offset
     length = np.maximum(np.einsum("ij,ij->i", along, along), 1e-300)
     share = np.clip(-np.einsum("ij,ij->i", offset, along) / length, 0, 1)
     nearest = offset + share[:, None] * along
-    x, y = nearest[np.einsum("ij,ij->i", nearest, nearest).argmin()]
+    return np.asarray(nearest[np.einsum("ij,ij->i", nearest, nearest).argmin()])
+
+
+def channel_direction(outline: Floats, place: Place) -> float:
+    """Azimuth, in radians, of the shortest way from the axis to the rim of ``outline (N, 2)``."""
+    x, y = _nearest(outline, place)
     return float(np.arctan2(y, x))
+
+
+def clear_of(solid: Any, height: float, place: Place) -> float:
+    """How far the axis is from the nearest side of ``solid`` at that height; inf without any."""
+    outlines = [np.asarray(outline) for outline in solid.slice(height).to_polygons()]
+    return min((float(np.linalg.norm(_nearest(o, place))) for o in outlines), default=np.inf)
 
 
 def channel(cavity: Cavity, place: Place, azimuth: float, reach: float, width: float) -> Any:
@@ -131,11 +141,10 @@ def cup_bodies(cavity: Cavity, place: Place, azimuth: float) -> tuple[Any, Any]:
     light = cavity.light
     empty = tube(cavity.radius, -1.0, cavity.height)
     if light.hole:
-        empty += tube(0.5 * light.hole, cavity.height - 1.0, cavity.top + 1.0)
+        empty += tube(cavity.window, cavity.height - 1.0, cavity.top + 1.0)
     else:
-        narrow = max(cavity.radius - lights.LIP, 0.25 * cavity.radius)
-        empty += tube(cavity.radius, cavity.height, cavity.top, narrow)
-        empty += tube(narrow, cavity.top - 1e-3, cavity.top + 1.0)
+        empty += tube(cavity.radius, cavity.height, cavity.top, cavity.window)
+        empty += tube(cavity.window, cavity.top - 1e-3, cavity.top + 1.0)
     if cavity.bulb is not None:
         empty += tube(cavity.bulb.radius, cavity.bulb.low, cavity.bulb.high)
     if cavity.lid:

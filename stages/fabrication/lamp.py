@@ -17,6 +17,8 @@ TRIMS = (0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
 """Shares of the height that are cut off for a flat base; the first at which the light fits."""
 LEAST_DIAMETER = 8.0
 """A light smaller than this many mm is none."""
+LEAST_WINDOW = 4.0
+"""A pedestal's opening for the light has at least this radius in mm."""
 
 
 @dataclass(frozen=True)
@@ -88,23 +90,45 @@ def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance
                 return replace(found, room=diameter)
     if asked.base == "footprint" or asked.preset == "largest":
         raise UsageError(_no_room(asked, widest))
-    lift = cavity.top
-    if lift > 0.5 * asked.height:
-        raise UsageError(
-            f"--light {asked.preset}: its pedestal would be {lift:.0f} of {asked.height:g} mm high;"
-            " raise --height or take a smaller light"
+    return _on_pedestal(polygons, surface, asked, trims[0], cavity, widest)
+
+
+def _on_pedestal(
+    polygons: PolygonMesh, surface: PolygonMesh, asked: Request, trim: float, cavity: Cavity,
+    widest: float,
+) -> Stance:  # fmt: skip
+    """With the light in a pedestal; its window is so small that the shape stands beside it."""
+    while True:
+        lift = cavity.top
+        if lift > 0.5 * asked.height:
+            raise UsageError(
+                f"--light {asked.preset}: its pedestal would be {lift:.0f} of {asked.height:g} mm "
+                "high; raise --height or take a smaller light"
+            )
+        matrix = mm_from_input(
+            polygons.vertices, asked.up, asked.height - lift, trim, asked.overhang, lift
         )
-    stance = Stance(matrix(trims[0], lift), trims[0], lift, "pedestal", cavity, None, None)
-    if cavity.bulb is None:
-        x, y, _ = centre_of_edges(stance.apply(polygons), lift)
-        return replace(stance, place=Place(float(x), float(y), 0.0), room=max(widest, 0.0))
-    inside = base.Inside(stance.apply(surface))
-    rooms = cavity.rooms(asked.overhang)[1:]
-    place = inside.place(rooms)
-    solid = base.solid_of(stance.apply(surface))
-    if place.slack < 0 or not base.lies_within(rooms, place, solid):
-        raise UsageError(_no_room(asked, asked.light.diameter + 2 * place.slack))
-    return replace(stance, place=place, room=asked.light.diameter + 2 * place.slack)
+        stance = Stance(matrix, trim, lift, "pedestal", cavity, None, max(widest, 0.0))
+        placed = stance.apply(surface)
+        solid = base.solid_of(placed)
+        if cavity.bulb is None:
+            x, y, _ = centre_of_edges(stance.apply(polygons), lift)
+            place = Place(float(x), float(y), 0.0)
+        else:
+            rooms = cavity.rooms(asked.overhang)[1:]
+            place = base.Inside(placed).place(rooms)
+            if place.slack < 0 or not base.lies_within(rooms, place, solid):
+                assert asked.light is not None
+                raise UsageError(_no_room(asked, asked.light.diameter + 2 * place.slack))
+        free = base.clear_of(solid, lift + 0.05, place) - base.MARGIN
+        if cavity.window <= free:
+            return replace(stance, place=place)
+        if cavity.bulb is not None or free < LEAST_WINDOW:
+            raise UsageError(
+                f"--base pedestal: the shape stands on less than the light's opening needs "
+                f"({2 * max(free, 0):.0f} mm there); cut more off with --trim, or take another --up"
+            )
+        cavity = replace(cavity, window=0.95 * free)
 
 
 def _no_room(asked: Request, diameter: float) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 LIP = 2.0
-"""How far a cup closes in above its light, and the height it takes for that."""
+"""How far a cup closes in above its light."""
 RING = 3.0
 """Thickness of the ring that a lamp holder is screwed to."""
 HOLDER_ROOM, HOLDER_HEIGHT = 8.0, 40.0
@@ -59,14 +59,16 @@ class Cavity:
     wall: float
     outer: float
     """Radius of the cup's outside."""
+    window: float
+    """Radius of the opening over the light, or of the ring's hole."""
     bulb: Room | None
     """Free room over the ring."""
     lid: bool
 
     @property
     def top(self) -> float:
-        """Height of the cup."""
-        return self.height + (RING if self.light.hole else LIP)
+        """Height of the cup, which closes in at 45 degrees above the light."""
+        return self.height + (RING if self.light.hole else self.radius - self.window)
 
     def rooms(self, keep: float) -> list[Room]:
         """What must lie within the object; the bulb keeps ``keep`` from the surface."""
@@ -92,4 +94,5 @@ def cavity(light: Light, clearance: float, wall: float, lid: bool) -> Cavity:
         radius = 0.5 * light.diameter + clearance
         height = floor + light.height + clearance
     outer = radius + (LUG + PLAY if lid else 0.0) + wall
-    return Cavity(light, radius, height, wall, outer, bulb, lid)
+    window = 0.5 * light.hole or max(radius - LIP, 0.25 * radius)
+    return Cavity(light, radius, height, wall, outer, window, bulb, lid)

@@ -87,6 +87,15 @@ def wall(
     return found
 
 
+def shell(distances: Floats, wall: float) -> Check:
+    """The wall of a shell: ``distances (N,)`` of the vertices of its inner side from the outer."""
+    least = float(distances.min())
+    return Check(
+        "shell", "ok" if least >= wall - THIN else "fail", round(least, 4), wall, "mm",
+        f"thinnest {least:.2f} mm of at least {wall:g}",
+    )  # fmt: skip
+
+
 def axis_points(graph: TubeGraph, keep: Any) -> Floats:
     """Points ``(P, 3)`` on the tubes' axes for which ``keep(points)`` holds."""
     ends = graph.nodes[graph.tubes]

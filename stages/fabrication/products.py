@@ -20,7 +20,7 @@ from .printability import Check
 if TYPE_CHECKING:
     from ..contract import Progress
 
-CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.8, 3.0, 8.0
+CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.6, 2.5, 8.0
 """Default tube diameter over the radius of the faces, and its limits in nozzle widths."""
 MOST_SEALED = 0.5
 """Tubes that close more of the faces than this are refused."""
@@ -61,6 +61,14 @@ class Design:
     """Raises UsageError for a diameter that does not fit the rest."""
 
 
+def _no_tubes() -> dict[str, Any]:
+    index = np.zeros(0, np.int64)
+    return {
+        "nodes": np.zeros((0, 3)), "tubes": index.reshape(0, 2), "radii": np.zeros(0),
+        "plates": index,
+    }  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Product:
     """An object in mm, ready to be written."""
@@ -71,7 +79,7 @@ class Product:
     expected_bodies: int = 1
     lid: Part | None = None
     light_at: tuple[float, float, float] | None = None
-    arrays: dict[str, Any] = field(default_factory=dict)
+    arrays: dict[str, Any] = field(default_factory=_no_tubes)
     metrics: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     measured: list[Check] = field(default_factory=list)
@@ -118,7 +126,12 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
     """The surface as a solid, or as a shell of ``wall`` mm that is open below."""
     stance = lamp.stand(shape.polygons, shape.surface, asked)
     surface = stance.apply(shape.surface)
-    body = base.solid_of(surface) if wall is None else solids.shell(surface, wall)
+    checks = []
+    if wall is None:
+        body = base.solid_of(surface)
+    else:
+        body, distances = solids.shell(surface, wall)
+        checks.append(printability.shell(distances, wall))
     if stance.base != "none":
         body = body.trim_by_plane((0, 0, 1), stance.lift)
     made = lamp.bodies(stance, surface, surface, 0.0)
@@ -130,7 +143,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
         "shell" if wall is not None else "solid",
         part,
         stance.mm_from_input,
-        measured=[stable],
+        measured=[*checks, stable],
         metrics=metrics | _facts(part, stance),
     )
 
@@ -166,13 +179,18 @@ def tubes_of(
     first = lamp.stand(shape.polygons, shape.surface, replace(asked, light=None))
     diameter = design.diameter
     if diameter is None:
-        diameter = _default_diameter(first.apply(shape.polygons), design.nozzle)
+        followed = shape.polygons
+        if design.edges != "surface" and shape.volume is not None:
+            followed = PolygonMesh.from_arrays(shape.volume)
+        diameter = _default_diameter(first.apply(followed), design.nozzle)
     design.check(diameter)
-    stance = lamp.stand(shape.polygons, shape.surface, replace(asked, overhang=diameter / 2))
+    enlarged = tubes.compensation(tubes.ball(design.sides))
+    overhang = enlarged * diameter / 2
+    stance = lamp.stand(shape.polygons, shape.surface, replace(asked, overhang=overhang))
     surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
     graph = _graph(shape, stance, polygons, design, diameter)
     radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
-    outer = radii * tubes.compensation(tubes.ball(design.sides))
+    outer = radii * enlarged
     gaps = plates.openings(graph.faces, outer)
     closed = np.flatnonzero(gaps < design.nozzle / 2)
     if len(closed) > MOST_SEALED * max(graph.faces.face_count, 1):
@@ -252,9 +270,7 @@ def tubes_of(
             "plates": graph.face_sources[chosen],
         },
         metrics=metrics,
-        warnings=_warnings(
-            shape, asked, design, stance, made, len(chosen), graph, touching
-        ),
+        warnings=_warnings(shape, asked, design, stance, made, len(chosen), graph, touching),
         measured=checks,
     )
 

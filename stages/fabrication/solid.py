@@ -18,8 +18,9 @@ GRID = 128
 MOST_GRID = 256
 
 
-def shell(surface: PolygonMesh, wall: float) -> Any:
-    """``surface`` in mm as a hollow body whose wall is nowhere thinner than ``wall``.
+def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
+    """``surface`` in mm as a hollow body whose wall is nowhere thinner than ``wall``, and the
+    distance of each vertex of the inner side ``(N,)`` from the outer one.
 
     The inner side is a level set of the distance on a grid, drawn half a cell further in, which is
     more than what linear interpolation can be off.
@@ -46,7 +47,8 @@ def shell(surface: PolygonMesh, wall: float) -> Any:
     hollow = Manifold(Mesh64(inner, faces.astype(np.uint64)))
     if hollow.status().name != "NoError":
         raise NumericalFailure(f"the inner side of the shell is no solid ({hollow.status().name})")
-    return solid - hollow
+    square = igl.point_mesh_squared_distance(inner, vertices, triangles)[0]
+    return solid - hollow, np.sqrt(square)
 
 
 def edges_of(arrays: Mapping[str, Any], which: str) -> Ints:

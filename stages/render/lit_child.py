@@ -21,7 +21,7 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
     reach = 0.5 * float(np.linalg.norm(high - low))
     turn, rise = np.radians([AZIMUTH, ELEVATION])
     towards = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-    eye = middle + towards * 1.12 * reach / np.sin(np.radians(FIELD_OF_VIEW / 2))
+    eye = middle + towards * 0.98 * reach / np.sin(np.radians(FIELD_OF_VIEW / 2))
     found: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 8},
@@ -43,15 +43,18 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
             "type": "ply",
             "filename": asked["mesh"],
             "face_normals": True,
+            # Plastic that lets some light through: a plate, which has two sides, a quarter of this.
             "bsdf": {
-                "type": "twosided",
-                "material": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.82}},
+                "type": "principledthin",
+                "base_color": {"type": "rgb", "value": [0.86, 0.84, 0.8]},
+                "roughness": 0.6,
+                "diff_trans": 0.4,
             },
         },
         "table": {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f().translate([0, 0, float(low[2]) - 0.05])
-            @ mi.ScalarTransform4f().scale(12 * reach),
+            @ mi.ScalarTransform4f().scale(400 * reach),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.4, 0.36, 0.33]}},
         },
     }
@@ -60,7 +63,7 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
     found["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": sky}}
     if night:
         radius = 0.05 * reach
-        strength = 26.0 * (reach / (20 * radius)) ** 2
+        strength = 60.0 * (reach / (20 * radius)) ** 2
         found["light"] = {
             "type": "sphere",
             "center": list(asked["light"]),
@@ -77,11 +80,12 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Draw what the first argument, JSON, asks for."""
+    import drjit
     import mitsuba as mi
 
     asked = json.loads(sys.argv[1])
+    drjit.set_thread_count(asked["threads"])
     mi.set_variant("scalar_rgb")
-    mi.Thread.set_thread_count(asked["threads"]) if hasattr(mi, "Thread") else None
     image = mi.render(mi.load_dict(scene(asked)))
     mi.util.write_bitmap(asked["target"], image)
 

@@ -13,7 +13,7 @@ from ..artifacts.manifest import Manifest, read
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
 from ..render import image_file
-from . import cells
+from . import cells, printing
 from .pictures import PICTURES
 
 STAGES = ("classify", "init", "sphere-train", "volume", "shade", "fabricate")
@@ -22,7 +22,8 @@ CAPTIONS = {
     "interface of the real Voronoi diagram.",
     "appearance": "The appearance that was learned, from new sides.",
     "cutaway": "The volumetric mesh cut open; inner cells in orange.",
-    "lamp": "The object as it will be printed, lit and by day. The light casts no shadows here.",
+    "lamp": "The object as it will be printed, lit and by day. Without --render the light casts no "
+    "shadows.",
 }
 STYLE = """
 :root{color-scheme:light dark}
@@ -68,6 +69,8 @@ def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = N
     # A volume from before there were these figures is stale, and said to be.
     if "volume" in manifests and "quality" in manifests["volume"]["metrics"]:
         body.append(cells.section(manifests["volume"]["metrics"]))
+    if "fabricate" in manifests and "printability" in manifests["fabricate"]["metrics"]:
+        body.append(printing.section(folder, manifests["fabricate"]["metrics"]))
     for stage in ("init", "sphere-train"):
         if stage in manifests:
             body.append(_curves(folder, stage))
@@ -103,7 +106,7 @@ def _flat(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
         return [
             row
             for key, item in value.items()
-            if key != "histogram"
+            if key not in ("histogram", "printability")
             for row in _flat(item, f"{prefix}{key}.")
         ]
     return [(prefix.rstrip("."), value)]

@@ -9,7 +9,7 @@ from ..errors import ArtifactError
 from ..render import image_file, raster
 from ..sources.resolve import up_axis
 from ..surface.geometry import fan_triangles
-from ..surface.polygons import Floats, PolygonMesh
+from ..surface.polygons import Floats, Ints, PolygonMesh
 
 SURFACE = np.array([0.56, 0.72, 0.88])
 INNER = np.array([0.98, 0.75, 0.42])
@@ -67,11 +67,11 @@ def cutaway(folder: RunFolder, size: int = 480) -> Floats | None:
     return raster.shaded(vertices, triangles, cell[faces], colors, view, size, size)
 
 
-def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
-    """The printable object: by night with its light on, and by day."""
-    stored = folder.manifest("fabricate")
-    if stored is None:
-        return None
+def printed(folder: RunFolder) -> tuple[Floats, Ints]:
+    """Vertices in mm and triangles of the object that fabricate wrote.
+
+    Raises ArtifactError when its file is damaged.
+    """
     from ..export import ply
 
     path = folder.file("fabricate", "ply")
@@ -81,15 +81,27 @@ def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
         raise ArtifactError(f"{path}: damaged ({error}); run: vorolight fabricate") from error
     if mesh is None:
         raise ArtifactError(f"{path}: is not the file fabricate wrote; run: vorolight fabricate")
-    triangles = mesh.face_vertices.reshape(-1, 3)
+    return mesh.vertices, mesh.face_vertices.reshape(-1, 3)
+
+
+def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
+    """The printable object: by night with its light on, path traced if that was asked for, and by
+    day."""
+    stored = folder.manifest("fabricate")
+    if stored is None:
+        return None
+    vertices, triangles = printed(folder)
     view = raster.view("z", AZIMUTH[_up(folder)])
-    day = raster.shaded(mesh.vertices, triangles, None, PRINT, view, size, size)
+    day = raster.shaded(vertices, triangles, None, PRINT, view, size, size)
+    if any(entry["role"] == "png" for entry in stored["outputs"]):
+        night = image_file.read(folder.file("fabricate", "png"))[..., :3] / 255
+        return np.concatenate([night, day], axis=1)
     light = stored["metrics"].get("light")
     if light is None:
         return day
-    height = float(mesh.vertices[:, 2].max())
-    source = (light["x_mm"], light["y_mm"], 0.5 * light["cavity_height_mm"] + 0.2 * height)
-    night = raster.lit(mesh.vertices, triangles, source, view, size, size)
+    low, high = light["cup_height_mm"], float(vertices[:, 2].max())
+    source = (light["x_mm"], light["y_mm"], low + 0.2 * (high - low))
+    night = raster.lit(vertices, triangles, source, view, size, size)
     return np.concatenate([night, day], axis=1)
 
 

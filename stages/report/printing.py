@@ -1,0 +1,73 @@
+"""The report on how the object prints: a verdict each, and pictures of the worst spots."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..artifacts.run_folder import RunFolder
+from ..render import image_file, raster
+from ..surface.polygons import Floats, Ints
+from .pictures import PRINT, printed
+
+SPOT = np.array([0.85, 0.2, 0.15])
+WINDOW, RADIUS = 12.0, 1.5
+"""Half the edge of what a picture shows, and how far around the spot it is red; mm."""
+SIZE = 220
+FROM_BELOW = ("floating starts", "islands", "bridges", "overhangs")
+
+
+def section(folder: RunFolder, metrics: Mapping[str, Any]) -> str:
+    """HTML of the checks that stage fabricate made."""
+    rows, figures = [], []
+    vertices, triangles = printed(folder)
+    for check in metrics["printability"]:
+        rows.append(
+            f"<tr><td>{html.escape(check['name'])}</td><td><b>{check['verdict']}</b></td>"
+            f"<td>{html.escape(check['text'])}</td></tr>"
+        )
+        if check["worst"] and check["name"] != "stability":
+            below = check["name"] in FROM_BELOW
+            image = close_up(vertices, triangles, np.array(check["worst"][0]), below)
+            data = base64.b64encode(image_file.png(image)).decode()
+            place = ", ".join(f"{x:.0f}" for x in check["worst"][0])
+            figures.append(
+                f'<figure><img alt="{html.escape(check["name"])}" width="{SIZE}" '
+                f'src="data:image/png;base64,{data}"><figcaption>{html.escape(check["name"])}: '
+                f"worst at ({place}) mm</figcaption></figure>"
+            )
+    sliced = metrics["as_written"].get("slicer")
+    text = "not run (--slice)"
+    if sliced:
+        text = (
+            f"{sliced['version']}: {sliced['layers']} layers, {sliced['filament_g']:.0f} g of "
+            f"filament, {sliced['printing_time']}"
+        )
+        text += "".join(f"; {line}" for line in sliced["warnings"])
+    verdict = "ok" if sliced else "not run"
+    rows.append(f"<tr><td>slicer</td><td><b>{verdict}</b></td><td>{html.escape(text)}</td></tr>")
+    return (
+        '<h2>Printability</h2><div class="scroll"><table>'
+        f"<tr><th>check</th><th>verdict</th><th></th></tr>{''.join(rows)}</table></div>"
+        f'<div class="histograms">{"".join(figures)}</div>'
+    )
+
+
+def close_up(vertices: Floats, triangles: Ints, spot: Floats, below: bool) -> Floats:
+    """What is within WINDOW of ``spot``, seen from outside the object, with the spot in red."""
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    away = spot - middle
+    azimuth = float(np.degrees(np.arctan2(away[1], away[0])))
+    centres = vertices[triangles].mean(axis=1)
+    near = triangles[(np.abs(centres - spot) < WINDOW).all(axis=1)]
+    distance = np.linalg.norm(vertices[near].mean(axis=1) - spot, axis=1)
+    colours = np.where((distance < max(RADIUS, float(distance.min()) + 0.5))[:, None], SPOT, PRINT)
+    used, index = np.unique(near, return_inverse=True)
+    view = raster.view("z", azimuth, -35.0 if below else 20.0)
+    return raster.shaded(
+        vertices[used], index.reshape(-1, 3), None, colours, view, 2 * SIZE, 2 * SIZE
+    )
