@@ -126,6 +126,11 @@ class Params(contract.Params):
                 raise UsageError("--light: only --lamp and --cells have one; leave it out")
             if self.base == "none":
                 raise UsageError("--base none: holds no light; say --light none, or another --base")
+        if self.light_height is not None and self.light_height > self.height:
+            raise UsageError(
+                f"--light-height {self.light_height:g}: higher than the object; lower it or raise "
+                "--height"
+            )
         if self.explode > 1 and self.mode != "cells":
             raise UsageError("--explode: only cells can be drawn apart; add --cells")
 
@@ -234,11 +239,6 @@ def _request(params: Params, up: str) -> Request:
             light = replace(light, diameter=params.light_diameter)
         if params.light_height is not None:
             light = replace(light, height=params.light_height)
-        if light.height > params.height:
-            raise UsageError(
-                f"--light {preset}: its {light.height:g} mm are higher than the object; take a "
-                "smaller light or raise --height"
-            )
     flat = params.mode in ("lamp", "cells", "solid") and params.explode == 1
     base = params.base if flat else "none"
     return lamp.Request(

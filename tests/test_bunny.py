@@ -16,7 +16,7 @@ def figures(run: Path, stem: str) -> dict:
 def test_bunny_to_lamp(tmp_path: Path, cli: Cli) -> None:
     assert cli("sample", "bunny", cwd=tmp_path).returncode == 0
     words = ["-n", 14, "--lamp", "--threads", 2, "--inner", 100, "--cvt-iterations", 10,
-             "--sides", 6, "--led-diameter", 25]  # fmt: skip
+             "--sides", 6, "--light-diameter", 25]  # fmt: skip
     done = cli("run", "bunny.obj", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = tmp_path / "bunny.vorolight"
@@ -27,7 +27,10 @@ def test_bunny_to_lamp(tmp_path: Path, cli: Cli) -> None:
     assert figures(run, "volume")["surface_unchanged"]
     lamp = figures(run, "fabricate")
     assert lamp["as_written"]["fault"] is None
-    assert lamp["light"]["cup_inside_shape"], lamp["light"]
+    assert lamp["base"] == "footprint"
+    assert lamp["light"]["proved_inside"]
+    assert lamp["lattice"]["unexplained"] == 0
+    assert lamp["printable"]
     assert lamp["as_written"]["size_mm"][2] == pytest.approx(120, abs=0.5)
 
 

@@ -202,10 +202,6 @@ BAD = [
     (["init", "heart", "--weight-shape", "nan"], 2, "must be a finite number"),
     (["init", "heart", "--weight-shape", "inf"], 2, "must be a finite number"),
     (["init", "missing.obj", "-v"], 3, "no such file"),
-    (["run", "heart", "--lamp", "--plate-thickness", 3], 2, "thicker than the tubes"),
-    (["run", "heart", "--tube-diameter", 0.5], 2, "two nozzles"),
-    (["run", "heart", "--height", 20, "--tube-diameter", 15], 2, "raise --height"),
-    (["run", "heart", "--lamp", "--led-height", 500], 2, "higher than"),
     (["init", "heart", "--device", "abacus"], 2, "cpu or cuda"),
     (["init", "heart", "--run", "unwritable/run"], 2, "cannot be created"),
     (["sphere-train"], 4, "no run folder"),
@@ -282,10 +278,10 @@ def test_a_failed_check_leaves_the_older_result(heart_run: Path, cli: Cli) -> No
     before = snapshot(heart_run)
     program = (
         "import sys\n"
-        "from vorolight.stages import fabricate\n"
+        "from vorolight.stages.fabrication import printcheck\n"
         "from vorolight.stages.errors import NumericalFailure\n"
-        "def fail(paths): raise NumericalFailure('the check failed')\n"
-        "fabricate.recheck = fail\n"
+        "def fail(paths, bodies): raise NumericalFailure('the check failed')\n"
+        "printcheck.of_files = fail\n"
         "from vorolight.cli.app import main\n"
         "sys.argv = ['vorolight', 'fabricate', '--sides', '4', '--height', '60']\n"
         "main()"

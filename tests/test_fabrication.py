@@ -1,28 +1,62 @@
-"""Tubes, plates, lamp: on shapes whose answers are known, and on the written file."""
+"""Tubes, plates, shells, and the checks of prints: on shapes whose answers are known."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from conftest import sphere_mesh
+from conftest import random_rotation, sphere_mesh
+from hypothesis import given
+from hypothesis import strategies as st
+from manifold3d import Manifold
 
-from vorolight.stages.fabrication import assembly, lamp, plates, printcheck, tubes
+from vorolight.stages.errors import UsageError
+from vorolight.stages.export import stl, threemf
+from vorolight.stages.fabrication import (
+    assembly,
+    layers,
+    plates,
+    printability,
+    printcheck,
+    solid,
+    tubes,
+)
+from vorolight.stages.surface.geometry import face_frames
 from vorolight.stages.surface.polygons import PolygonMesh
 
 BALL = PolygonMesh.of_triangles(*sphere_mesh(30.0, 1))
 
 
-def test_tubes_of_a_graph_have_its_genus() -> None:
-    graph = tubes.tube_graph(BALL, 0.1)
-    assert len(graph.nodes) == 42
-    assert len(graph.tubes) == 120
-    part = assembly.assemble(tubes.tubes(graph, 1.0, 8), None, False)
-    assert part.genus == 120 - 42 + 1
+def graph_of(mesh: PolygonMesh) -> tuple[tubes.TubeGraph, np.ndarray]:
+    graph = tubes.tube_graph(mesh, 0.1)
+    return graph, np.ones(len(graph.nodes))
+
+
+def polygon(corners: np.ndarray) -> PolygonMesh:
+    """One face ``corners (N, 2)`` in a plane that is tilted."""
+    flat = np.column_stack([corners, np.zeros(len(corners))]) @ random_rotation(3).T
+    return PolygonMesh(flat, np.array([0, len(corners)]), np.arange(len(corners)))
+
+
+@pytest.mark.parametrize("fillet", [False, True])
+def test_tubes_of_a_graph_have_its_genus(fillet: bool) -> None:
+    graph, radii = graph_of(BALL)
+    assert (len(graph.nodes), len(graph.tubes), graph.loops) == (42, 120, 79)
+    body = assembly.union(tubes.tubes(graph, radii, 8, fillet))
+    assert assembly.handles(body) == graph.loops
+    part = assembly.largest(body)
+    assert part.genus == graph.loops
     assert part.dropped_parts == 0
+    two = tubes.TubeGraph(
+        np.concatenate([graph.nodes, graph.nodes + 90]),
+        np.concatenate([graph.tubes, graph.tubes + 42]),
+        graph.faces,
+        graph.face_sources,
+    )
+    assert two.loops == 2 * graph.loops
+    twice = assembly.union(tubes.tubes(two, np.ones(84), 8))
+    assert assembly.handles(twice) == two.loops
 
 
 @pytest.mark.parametrize("sides", [4, 6, 8, 12, 16])
@@ -39,6 +73,25 @@ def test_tubes_are_nowhere_thinner_than_asked(sides: int) -> None:
         assert (flat @ across).max(axis=0).min() >= 1 - 1e-6
 
 
+def test_tapered_tubes_are_measured_as_they_are() -> None:
+    graph, _ = graph_of(BALL)
+    radii = tubes.tapered(graph.nodes, 1.5, 0.4)
+    assert radii[graph.nodes[:, 2].argmin()] == pytest.approx(1.5)
+    assert radii[graph.nodes[:, 2].argmax()] == pytest.approx(0.6)
+    part = assembly.largest(assembly.union(tubes.tubes(graph, radii, 12)))
+    points = printability.axis_points(graph, lambda at: np.ones(len(at), bool))
+    (check,) = printability.wall(
+        part.vertices, part.triangles, points, np.zeros((0, 3)), 0.8, 0.4, 0.2
+    )
+    assert check.verdict == "ok"
+    # The thinnest axis point lies a tenth along a tube from the highest node.
+    assert 1.2 <= check.value <= 1.45
+    (check,) = printability.wall(
+        part.vertices, part.triangles, points, np.zeros((0, 3)), 0.8, 0.9, 0.2
+    )
+    assert check.verdict == "fail"
+
+
 def test_short_edges_are_welded() -> None:
     vertices = BALL.vertices.copy()
     a, b = BALL.face_vertices[:2]
@@ -50,68 +103,119 @@ def test_short_edges_are_welded() -> None:
     assert len(graph.face_sources) == 78
 
 
-def test_plates() -> None:
-    chosen = plates.choose(80, 0.25, np.random.default_rng(0))
+@pytest.mark.parametrize("pattern", ["random", "even", "height", "checker"])
+def test_plates(pattern: str) -> None:
+    chosen = plates.choose(BALL, 0.25, pattern, np.random.default_rng(0))
     assert len(np.unique(chosen)) == 20
     bodies = plates.plates(BALL, chosen, 1.0)
-    from vorolight.stages.surface.geometry import face_frames
-
-    area = face_frames(BALL)[0][chosen]
+    area, _, centre = face_frames(BALL)
     volumes = np.array([body.volume() for body in bodies])
-    assert volumes == pytest.approx(area * 1.0, rel=1e-6)
+    assert volumes == pytest.approx(area[chosen] * 1.0, rel=1e-6)
+    gaps = np.linalg.norm(centre[chosen][:, None] - centre[chosen], axis=2) + 99 * np.eye(20)
+    if pattern == "even":  # 20 of 80 faces: none beside another, whose centres are 8 to 11 apart
+        assert gaps.min() > 11
+    if pattern == "height":
+        assert centre[chosen, 2].mean() < -8
 
 
-@pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])
-def test_mm_from_input_is_a_rotation_with_the_asked_height(up: str) -> None:
-    vertices = np.random.default_rng(0).random((50, 3)) * [1, 2, 3] + 5
-    matrix = lamp.mm_from_input(vertices, up, 100.0, 0.04, 0.6)
-    linear = matrix[:3, :3]
-    scale = np.cbrt(np.linalg.det(linear))
-    assert scale > 0
-    assert np.allclose(linear @ linear.T, scale**2 * np.eye(3))
-    z = (vertices @ linear.T + matrix[:3, 3])[:, 2]
-    assert z.max() == pytest.approx(99.4)
-    assert z.min() == pytest.approx(-0.04 * np.ptp(z))
-    whole = lamp.mm_from_input(vertices, up, 100.0, 0.0, 0.6)
-    z = (vertices @ whole[:3, :3].T + whole[:3, 3])[:, 2]
-    assert (z.min(), z.max()) == pytest.approx((0.6, 99.4))
+def test_a_lamp_does_not_fall_dark() -> None:
+    chosen = plates.choose(BALL, 1.0, "random", np.random.default_rng(0))
+    area, _, _ = face_frames(BALL)
+    assert plates.DARK <= 1 - area[chosen].sum() / area.sum() < plates.DARK + 0.02
 
 
-def test_the_cavity_is_where_there_is_room() -> None:
-    ball = PolygonMesh.of_triangles(*sphere_mesh(60.0, 3))
-    raised = ball.with_vertices(ball.vertices + np.array([7, 0, 50]))
-    light = lamp.Light(38, 20, 0.5, 1.6)
-    place = lamp.find_room(raised, light)
-    # The ball cut 10 mm above its lowest point; the narrowest slice is the lowest one.
-    assert place.x == pytest.approx(7, abs=2)
-    assert place.y == pytest.approx(0, abs=2)
-    assert 28 < place.room < np.sqrt(60**2 - 50**2)
-    small = ball.with_vertices(0.2 * ball.vertices + np.array([0, 0, 11]))
-    assert lamp.find_room(small, light).room < light.cavity_radius
+def test_openings_of_known_faces() -> None:
+    square = polygon(np.array([[0, 0], [4, 0], [4, 4], [0, 4]], float))
+    assert plates.openings(square, np.full(4, 0.5)) == pytest.approx([1.5])
+    assert plates.openings(square, np.full(4, 2.5)) == pytest.approx([-0.5])
+    angles = np.arange(6) * np.pi / 3
+    hexagon = polygon(np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    assert plates.openings(hexagon, np.zeros(6)) == pytest.approx([np.sqrt(3) / 2])
 
 
-def test_written_lamp(heart_run: Path, manifest: Callable[[str], dict[str, Any]]) -> None:
-    found = printcheck.check(heart_run / "fabricate.stl")
-    assert found.fault is None
-    assert found.bodies == 1
-    assert found.lowest_mm == pytest.approx(0, abs=1e-4)
-    assert found.size_mm[2] == pytest.approx(120, abs=0.5)
-    record = manifest("fabricate")
-    assert record["frame"]["unit"] == "mm"
-    assert record["metrics"]["as_written"]["triangles"] == found.triangles
-    import trimesh
+@given(seed=st.integers(0, 2**32 - 1))
+def test_openings_are_the_largest_circles(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    angles = np.sort(random.uniform(0, 2 * np.pi, random.integers(5, 11)))
+    corners = np.stack([2 * np.cos(angles), np.sin(angles)], axis=1)
+    found = plates.openings(polygon(corners), np.zeros(len(corners)))[0]
+    following = np.roll(corners, -1, axis=0)
+    normal = np.stack([following[:, 1] - corners[:, 1], corners[:, 0] - following[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    points = random.uniform(corners.min(axis=0), corners.max(axis=0), (4000, 2))
+    depth = ((corners[None] - points[:, None]) * normal).sum(axis=2).min(axis=1)
+    assert depth.max() <= found + 1e-9
+    # Four thousand points come within a twentieth of the polygon's size of the centre.
+    assert depth.max() >= found - 0.15
 
-    mesh = trimesh.load_mesh(heart_run / "fabricate.stl")
-    light = record["metrics"]["light"]
-    # Looking up from the table there is a round hole for the light.
-    section = mesh.section(plane_origin=[0, 0, 1.0], plane_normal=[0, 0, 1])
-    radii = np.hypot(section.vertices[:, 0] - light["x_mm"], section.vertices[:, 1] - light["y_mm"])
-    assert radii.min() == pytest.approx(light["cavity_diameter_mm"] / 2, rel=0.002)
+
+def test_a_shell_is_nowhere_thinner_than_asked() -> None:
+    ball = PolygonMesh.of_triangles(*sphere_mesh(30.0, 3))
+    body, distances = solid.shell(ball, 2.0)
+    assert distances.min() >= 2.0
+    outside = solid.base.solid_of(ball).volume()
+    hollow = outside - body.volume()
+    # Half a grid cell further in than asked: 60 / 128 / 2.
+    assert hollow == pytest.approx(4 / 3 * np.pi * (30 - 2 - 0.235) ** 3, rel=0.02)
+    with pytest.raises(UsageError, match="so deep"):
+        solid.shell(ball, 31.0)
+
+
+def box(size: tuple[float, float, float], at: tuple[float, float, float]) -> Manifold:
+    return Manifold.cube(size).translate(at)
+
+
+def test_islands_and_layers() -> None:
+    post, arm = box((10, 10, 40), (0, 0, 0)), box((30, 10, 5), (0, 0, 35))
+    tooth = box((4, 3, 20), (25, 3, 18))
+    plain = assembly.largest(post + arm)
+    found = layers.islands(plain.vertices, plain.triangles, 0.5, 0.4)
+    assert (found.layers, found.empty_layers, len(found.areas)) == (80, 0, 0)
+    toothed = assembly.largest(post + arm + tooth)
+    found = layers.islands(toothed.vertices, toothed.triangles, 0.5, 0.4)
+    assert len(found.areas) == 1
+    assert found.places[0] == pytest.approx([27, 4.5, 18.25], abs=0.3)
+    assert found.areas[0] == pytest.approx(12, rel=0.2)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_layers_have_the_sections_area(seed: int) -> None:
+    body = Manifold.sphere(8.0, 24).rotate(tuple(np.random.default_rng(seed).uniform(0, 90, 3)))
+    body -= box((6, 4, 30), (-2, -3, -15))
+    part = assembly.largest(body)
+    for z, mask, _, pitch in layers.masks(part.vertices, part.triangles, 2.0, 0.1):
+        # The rim is 60 mm long at most, and a cell on it may count either way.
+        assert mask.sum() * pitch**2 == pytest.approx(body.slice(z).area(), abs=60 * pitch / 2)
+
+
+def test_overhangs_of_a_mushroom() -> None:
+    part = assembly.largest(box((10, 10, 20), (-5, -5, 0)) + box((30, 30, 2), (-15, -15, 20)))
+    check = printability.overhangs(part.vertices, part.triangles)
+    area = 2 * 900 + 4 * 30 * 2 + 4 * 10 * 20
+    assert check.value == pytest.approx((900 - 100) / area, abs=1e-4)
+    assert check.verdict == "warn"
+
+
+def test_bridges_and_floating_starts() -> None:
+    nodes = np.array([[0, 0, 0], [0, 0, 20], [12, 0, 20], [12, 0, 0], [6, 0, 9], [0, 0, 9]], float)
+    ends = np.array([[0, 5], [5, 1], [1, 2], [2, 3], [4, 1]])
+    graph = tubes.TubeGraph(nodes, ends, BALL, np.zeros(0, np.int64))
+    every = lambda at: np.ones(len(at), bool)  # noqa: E731
+    check = printability.bridges(graph, every)
+    assert (check.verdict, check.value) == ("warn", 12.0)
+    assert check.worst[0] == [6.0, 0.0, 20.0]
+    check = printability.floating(graph, lambda at: at[:, 2] > 1)
+    assert check.value == 1
+    assert check.worst == [[6.0, 0.0, 9.0]]
+
+
+def test_the_bed() -> None:
+    assert printability.bed((200, 100, 50), (110, 210, 60)).verdict == "ok"
+    assert printability.bed((200, 120, 50), (110, 210, 60)).verdict == "fail"
+    assert printability.bed((200, 100, 70), (110, 210, 60)).verdict == "fail"
 
 
 def test_open_files_are_found_out(tmp_path: Path) -> None:
-    from vorolight.stages.export import stl
-
     vertices, triangles = sphere_mesh()
     small = vertices.astype(np.float32)
     for faces, fault in (
@@ -121,4 +225,24 @@ def test_open_files_are_found_out(tmp_path: Path) -> None:
     ):
         path = tmp_path / "a.stl"
         path.write_bytes(stl.encode(np.concatenate([small, small + 9]), faces))
-        assert fault in (printcheck.check(path).fault or "")
+        assert fault in (printcheck.check(path).fault() or "")
+
+
+def test_3mf_holds_its_bodies_and_is_the_same_each_time(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(20.0)
+    bodies = [
+        threemf.Body(name, (vertices + shift).astype(np.float32), triangles)
+        for name, shift in (("lamp", 0.0), ("lid", 50.0))
+    ]
+    data = threemf.encode(bodies, "a ball", "vorolight")
+    assert data == threemf.encode(bodies, "a ball", "vorolight")
+    assert data != threemf.encode(bodies, "another", "vorolight")
+    for found, wanted in zip(threemf.read(data), bodies, strict=True):
+        assert found.name == wanted.name
+        assert np.array_equal(found.triangles, wanted.triangles)
+        assert np.allclose(found.vertices, wanted.vertices, rtol=1e-6, atol=1e-6)
+    with pytest.raises(ValueError, match=r"."):
+        threemf.read(data[: len(data) // 2])
+    path = tmp_path / "a.3mf"
+    path.write_bytes(data)
+    assert printcheck.check(path).fault(2) is None

@@ -182,7 +182,7 @@ def tubes_of(
         followed = shape.polygons
         if design.edges != "surface" and shape.volume is not None:
             followed = PolygonMesh.from_arrays(shape.volume)
-        diameter = _default_diameter(first.apply(followed), design.nozzle)
+        diameter = _default_diameter(first.apply(followed), design)
     design.check(diameter)
     enlarged = tubes.compensation(tubes.ball(design.sides))
     overhang = enlarged * diameter / 2
@@ -321,11 +321,13 @@ def _graph(
     return tubes.tube_graph(mesh, weld, wanted)
 
 
-def _default_diameter(polygons: PolygonMesh, nozzle: float) -> float:
-    """In mm, from the radius of the faces of ``polygons``."""
-    radius = float(np.median(plates.openings(polygons, np.zeros(polygons.vertex_count))))
-    wanted = np.clip(CELL_TO_TUBE * radius, LEAST_NOZZLES * nozzle, MOST_NOZZLES * nozzle)
-    return float(np.round(wanted, 2))
+def _default_diameter(mesh: PolygonMesh, design: Design) -> float:
+    """In mm, from the radius of the faces of ``mesh``; no less than plates or a taper need."""
+    radius = float(np.median(plates.openings(mesh, np.zeros(mesh.vertex_count))))
+    end = max(2 * design.nozzle, design.plate_thickness if design.plates > 0 else 0.0)
+    least = max(LEAST_NOZZLES * design.nozzle, end / design.taper)
+    wanted = max(least, min(CELL_TO_TUBE * radius, MOST_NOZZLES * design.nozzle))
+    return float(np.ceil(100 * wanted) / 100)
 
 
 def _too_thick(
