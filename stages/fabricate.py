@@ -191,12 +191,18 @@ def run(context: Context) -> Outcome:
 
     Of a surface of triangles the dual is drawn, a polygon around each vertex.
     """
-    from .fabrication import products
+    from .fabrication import products, slicer
+    from .render import lit
     from .sources.resolve import up_axis
     from .surface.dual import dual
     from .surface.polygons import PolygonMesh
 
     params = context.params
+    # What would be missing in the end is said at once.
+    if params.slice:
+        slicer.program()
+    if params.render:
+        lit.require()
     trained = context.arrays("sphere-train")
     polygons, surface = (
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
@@ -243,7 +249,7 @@ def _request(params: Params, up: str) -> Request:
     base = params.base if flat else "none"
     return lamp.Request(
         up, params.height, 0.0, params.trim, base, light, preset, params.clearance,
-        1.6 if params.wall is None else params.wall, params.bayonet,
+        1.6 if params.wall is None else params.wall, params.bayonet, params.room,
     )  # fmt: skip
 
 
@@ -284,8 +290,6 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
 
         context.progress.advance(3, "picture")
         files["png"] = lit.png(part.vertices, part.triangles, made.light_at, context.threads)
-    if params.slice:
-        slicer.program()  # before the files are written
 
     def recheck(paths: dict[str, Path]) -> dict[str, Any]:
         found = printcheck.of_files(paths, made.expected_bodies)

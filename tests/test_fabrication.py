@@ -183,7 +183,9 @@ def test_layers_have_the_sections_area(seed: int) -> None:
     body = Manifold.sphere(8.0, 24).rotate(tuple(np.random.default_rng(seed).uniform(0, 90, 3)))
     body -= box((6, 4, 30), (-2, -3, -15))
     part = assembly.largest(body)
-    for z, mask, _, pitch in layers.masks(part.vertices, part.triangles, 2.0, 0.1):
+    pitch, heights = 0.1, np.arange(-7.0, 7.5, 2.0)
+    vertices = part.vertices.astype(float)
+    for z, mask, _ in layers.sections(vertices, part.triangles, heights, pitch):
         # The rim is 60 mm long at most, and a cell on it may count either way.
         assert mask.sum() * pitch**2 == pytest.approx(body.slice(z).area(), abs=60 * pitch / 2)
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import NumericalFailure
-from ..sources.parity import RayParity
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, PolygonMesh
-from . import lights
+from . import layers, lights
 from .lights import Cavity, Room
 
 FOOT = 2.4
@@ -54,31 +53,31 @@ class Inside:
     """The inside of a surface on horizontal slices, for several questions about it."""
 
     def __init__(self, surface: PolygonMesh) -> None:
-        vertices, triangles, _ = fan_triangles(surface)
-        self._rays = RayParity(vertices, triangles)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        self.cell = max(CELL, float((high - low)[:2].max()) / MOST_CELLS)
-        self.x = np.arange(low[0] - self.cell, high[0] + 2 * self.cell, self.cell)
-        self.y = np.arange(low[1] - self.cell, high[1] + 2 * self.cell, self.cell)
+        self._vertices, self._triangles, _ = fan_triangles(surface)
+        size = np.ptp(self._vertices, axis=0)
+        self.cell = max(CELL, float(size[:2].max()) / MOST_CELLS)
 
-    def distances(self, low: float, high: float) -> Floats:
-        """``(X, Y)``: how far each place is from the outside, on all slices from low to high."""
+    def distances(self, low: float, high: float) -> tuple[Floats, Floats]:
+        """``(X, Y)``: how far the middle of each cell is from the outside at the least, on all
+        slices from ``low`` to ``high``; and the grid's origin."""
         from scipy.ndimage import distance_transform_edt
 
         z = np.linspace(low, high, SLICES)
         z[0] += 1e-3 * (high - low)  # not in the plane of what was cut flat
-        grid = np.stack(np.meshgrid(self.x, self.y, z, indexing="ij"), axis=-1)
-        inside = self._rays.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3]).all(axis=2)
-        # A grid point outside is one cell beyond the last that is known to be inside.
-        return np.asarray(distance_transform_edt(inside) * self.cell - self.cell)
+        found = list(layers.sections(self._vertices, self._triangles, z, self.cell))
+        inside = np.logical_and.reduce([mask for _, mask, _ in found])
+        # A middle outside is one cell beyond the last that is known to be inside.
+        return np.asarray(distance_transform_edt(inside) * self.cell - self.cell), found[0][2]
 
-    def place(self, rooms: list[Room], lift: float = 0.0) -> Place:
-        """The axis about which ``rooms``, raised by ``lift``, have most slack."""
+    def place(self, rooms: list[Room]) -> Place:
+        """The axis about which ``rooms`` have most slack."""
+        found = [self.distances(room.low, room.high) for room in rooms]
         slack = np.minimum.reduce(
-            [self.distances(room.low + lift, room.high + lift) - room.radius for room in rooms]
+            [distance - room.radius for (distance, _), room in zip(found, rooms, strict=True)]
         )
         i, j = np.unravel_index(int(slack.argmax()), slack.shape)
-        return Place(float(self.x[i]), float(self.y[j]), float(slack[i, j]))
+        x, y = found[0][1] + self.cell * (np.array([i, j]) + 0.5)
+        return Place(float(x), float(y), float(slack[i, j]))
 
 
 def cylinder(room: Room, place: Place) -> Any:

@@ -38,6 +38,8 @@ class Request:
     clearance: float
     wall: float
     lid: bool
+    bed: tuple[float, float, float]
+    """What the printer has room for."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,27 @@ class Stance:
 
 
 def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
+    """Place the object as ``_placed`` does.
+
+    Raises UsageError, with the largest light that fits, where none does, and for an object that is
+    larger than the printer.
+    """
+    stance = _placed(polygons, surface, asked)
+    size = np.ptp(stance.apply(polygons).vertices, axis=0)[:2] + 2 * asked.overhang
+    if (np.sort(size) > np.sort(asked.bed[:2])).any():
+        x, y, z = asked.bed
+        raise UsageError(
+            f"--bed {x:g}x{y:g}x{z:g}: the object is {size[0]:.0f} x {size[1]:.0f} mm wide; lower "
+            "--height, or say what your printer has room for"
+        )
+    return stance
+
+
+def _placed(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
     """Place the object, which is drawn from ``polygons`` and whose inside is that of ``surface``.
 
     The cavity is moved to where it has most room, over places and over shares cut off; that its
     rooms lie inside the shape is then proved with exact bodies.
-
-    Raises UsageError, with the largest light that fits, where none of this helps.
     """
 
     def matrix(trim: float, lift: float = 0.0) -> Floats:

@@ -38,15 +38,19 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
     below: NDArray[np.bool_] | None = None
     places, areas = [], []
     count = empty = 0
-    for z, mask, origin, pitch in masks(vertices, triangles, layer, nozzle):
+    vertices = np.asarray(vertices, dtype=np.float64)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    pitch = max(nozzle, float((high - low)[:2].max()) / MOST_CELLS)
+    heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
+    for z, mask, origin in sections(vertices, triangles, heights, pitch):
         count += 1
         empty += not mask.any()
         labels, parts = ndimage.label(mask, touch)
         if below is not None and parts:
-            held = np.unique(labels[ndimage.binary_dilation(below, touch)])
+            held = np.bincount(labels[_grown(below)], minlength=parts + 1)
             size = np.bincount(labels.ravel(), minlength=parts + 1)
-            loose = np.setdiff1d(np.arange(1, parts + 1), held)
-            for part in loose[size[loose] >= LEAST_ISLAND].tolist():
+            loose = (held == 0) & (size >= LEAST_ISLAND)
+            for part in np.flatnonzero(loose).tolist():
                 row, column = np.nonzero(labels == part)
                 middle = origin + pitch * (np.array([row.mean(), column.mean()]) + 0.5)
                 places.append([*middle, z])
@@ -61,18 +65,26 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
     )
 
 
-def masks(
-    vertices: Floats, triangles: Ints, layer: float, nozzle: float
-) -> Iterator[tuple[float, NDArray[np.bool_], Floats, float]]:
-    """Height of each layer's middle, which cells of the grid are inside there ``(X, Y)``, the
-    grid's origin and its pitch in mm."""
-    vertices = np.asarray(vertices, dtype=np.float64)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    pitch = max(nozzle, float((high - low)[:2].max()) / MOST_CELLS)
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The cells of ``mask`` and all their neighbours."""
+    wide = mask.copy()
+    wide[1:] |= mask[:-1]
+    wide[:-1] |= mask[1:]
+    grown = wide.copy()
+    grown[:, 1:] |= wide[:, :-1]
+    grown[:, :-1] |= wide[:, 1:]
+    return grown
+
+
+def sections(
+    vertices: Floats, triangles: Ints, heights: Floats, pitch: float
+) -> Iterator[tuple[float, NDArray[np.bool_], Floats]]:
+    """Of every height, which cells of a grid of that pitch have their centre inside there
+    ``(X, Y)``, and the grid's origin."""
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     # Off the round numbers at which objects have corners and upright walls.
-    origin = low[:2] - pitch * (1 + 0.137 * np.array([1.0, 0.71]))
-    shape = np.ceil((high[:2] - origin) / pitch + 1).astype(np.int64)
-    heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
+    origin = low - pitch * (1 + 0.137 * np.array([1.0, 0.71]))
+    shape = np.ceil((high - origin) / pitch + 1).astype(np.int64)
     corner_z = vertices[triangles][..., 2]
     first = np.searchsorted(heights, corner_z.min(axis=1))
     last = np.searchsorted(heights, corner_z.max(axis=1))
@@ -87,7 +99,7 @@ def masks(
     for k, z in enumerate(heights.tolist()):
         flips[:] = False
         _cross(vertices, triangles[of[starts[k] : starts[k + 1]]], z, origin, pitch, flips)
-        yield z, np.logical_xor.accumulate(flips, axis=1), origin, pitch
+        yield z, np.logical_xor.accumulate(flips, axis=1), origin
 
 
 @compiled

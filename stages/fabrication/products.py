@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import NumericalFailure, UsageError
 from ..surface.geometry import face_frames
-from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.polygons import Floats, PolygonMesh
 from . import assembly, base, lamp, plates, printability, tubes
 from . import solid as solids
 from .assembly import Part
@@ -177,24 +177,23 @@ def tubes_of(
     """
     # The scale decides the default diameter, which decides how much room tubes take: twice round.
     first = lamp.stand(shape.polygons, shape.surface, replace(asked, light=None))
+    followed = shape.polygons
+    if design.edges != "surface" and shape.volume is not None:
+        followed = PolygonMesh.from_arrays(shape.volume)
     diameter = design.diameter
     if diameter is None:
-        followed = shape.polygons
-        if design.edges != "surface" and shape.volume is not None:
-            followed = PolygonMesh.from_arrays(shape.volume)
         diameter = _default_diameter(first.apply(followed), design)
     design.check(diameter)
     enlarged = tubes.compensation(tubes.ball(design.sides))
     overhang = enlarged * diameter / 2
     stance = lamp.stand(shape.polygons, shape.surface, replace(asked, overhang=overhang))
+    _refuse_thick(stance.apply(followed), overhang, diameter, design)
     surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
     graph = _graph(shape, stance, polygons, design, diameter)
     radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
     outer = radii * enlarged
     gaps = plates.openings(graph.faces, outer)
     closed = np.flatnonzero(gaps < design.nozzle / 2)
-    if len(closed) > MOST_SEALED * max(graph.faces.face_count, 1):
-        raise UsageError(_too_thick(graph, gaps, closed, design, diameter))
     bodies = tubes.tubes(graph, radii, design.sides, design.fillet)
     progress.advance(1, f"{len(bodies)} tubes")
     chosen = plates.choose(graph.faces, design.plates, design.plate_pattern, random)
@@ -330,19 +329,19 @@ def _default_diameter(mesh: PolygonMesh, design: Design) -> float:
     return float(np.ceil(100 * wanted) / 100)
 
 
-def _too_thick(
-    graph: tubes.TubeGraph, gaps: Floats, closed: Ints, design: Design, diameter: float
-) -> str:
-    named = ", ".join(map(str, graph.face_sources[closed[np.argsort(gaps[closed])[:5]]].tolist()))
+def _refuse_thick(mesh: PolygonMesh, outer: float, diameter: float, design: Design) -> None:
+    """Raises UsageError when tubes of that outer radius close over MOST_SEALED of the faces."""
+    gaps = plates.openings(mesh, np.full(mesh.vertex_count, outer))
+    closed = np.flatnonzero(gaps < design.nozzle / 2)
+    if len(closed) <= MOST_SEALED * mesh.face_count:
+        return
+    named = ", ".join(map(str, closed[np.argsort(gaps[closed])[:5]].tolist()))
     most = diameter + 2 * float(np.median(gaps)) - design.nozzle
-    way = (
-        f"at most {most:.1f} keeps half of them open: lower it, "
-        if most >= 2 * design.nozzle
-        else ""
-    )
-    return (
-        f"--tube-diameter {diameter:g}: would close {len(closed)} of {graph.faces.face_count} "
-        f"faces (first {named}); {way}raise --height or make larger cells with -n or --edge-length"
+    way = f"at most {most:.1f} keeps half of them open: lower it, "
+    raise UsageError(
+        f"--tube-diameter {diameter:g}: would close {len(closed)} of {mesh.face_count} faces "
+        f"(first {named}); {way if most >= 2 * design.nozzle else ''}raise --height or make larger "
+        "cells with -n or --edge-length"
     )
 
 

@@ -19,6 +19,17 @@ SAMPLES = 128
 SECONDS = 1800
 
 
+def require() -> None:
+    """Raises BackendMissing without Mitsuba."""
+    from importlib.util import find_spec
+
+    if find_spec("mitsuba") is None:
+        raise BackendMissing(
+            "--render: Mitsuba is not installed; pip install 'vorolight[render]', or leave it out: "
+            "the report has a picture without shadows"
+        )
+
+
 def png(
     vertices: NDArray[np.float32],
     triangles: Ints,
@@ -32,16 +43,10 @@ def png(
 
     Raises BackendMissing without Mitsuba, and NumericalFailure when it fails.
     """
-    from importlib.util import find_spec
-
     from ..export import ply
     from ..surface.polygons import PolygonMesh
 
-    if find_spec("mitsuba") is None:
-        raise BackendMissing(
-            "--render: Mitsuba is not installed; pip install 'vorolight[render]', or leave it out: "
-            "the report has a picture without shadows"
-        )
+    require()
     with tempfile.TemporaryDirectory() as folder:
         mesh, target = Path(folder) / "object.ply", Path(folder) / "object.png"
         mesh.write_bytes(
