@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos bench-images table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-lamps bench-images table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -100,6 +100,10 @@ table-views: $(VENV)/installed
 # Views as found: how well masks and pictures are met.
 table-photos: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/photos.py $(VIEWS)
+
+# Lamps that were built: RUNS are their run folders.
+table-lamps: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/lamps.py $(RUNS)
 
 # A step of the image losses, against an independent renderer.
 bench-images: $(VENV)/benched-with

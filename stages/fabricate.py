@@ -95,7 +95,7 @@ class Params(contract.Params):
     slice: bool = False
     """Slice the STL with PrusaSlicer, which must find nothing to mend; says filament and time."""
     render: bool = False
-    """Draw the lamp with its light on, by path tracing, to fabricate.png."""
+    """Draw the lamp with its light on, by path tracing (needs Mitsuba), to fabricate.png."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -192,17 +192,13 @@ def run(context: Context) -> Outcome:
     Of a surface of triangles the dual is drawn, a polygon around each vertex.
     """
     from .fabrication import products, slicer
-    from .render import lit
     from .sources.resolve import up_axis
     from .surface.dual import dual
     from .surface.polygons import PolygonMesh
 
     params = context.params
-    # What would be missing in the end is said at once.
     if params.slice:
-        slicer.program()
-    if params.render:
-        lit.require()
+        slicer.program()  # a slicer that would be missing in the end is said at once
     trained = context.arrays("sphere-train")
     polygons, surface = (
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
@@ -268,6 +264,7 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
     fit = next(check for check in checks if check.name == "bed")
     if fit.verdict == "fail":
         raise UsageError(f"--bed {params.bed}: the object is {fit.text}; lower --height")
+    warnings = list(made.warnings)
     bodies = [threemf.Body(made.name, part.vertices, part.triangles)]
     files = {
         "stl": stl.encode(part.vertices, part.triangles),
@@ -289,7 +286,15 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         from .render import lit
 
         context.progress.advance(3, "picture")
-        files["png"] = lit.png(part.vertices, part.triangles, made.light_at, context.threads)
+        scene = part.vertices, part.triangles, made.light_at
+        if lit.traced():
+            files["png"] = lit.png(*scene, context.threads)
+        else:
+            files["png"] = lit.rasterised(*scene)
+            warnings.append(
+                "Mitsuba is not installed (pip install 'vorolight[render]'): the picture is "
+                "rasterised, and nothing in it casts shadows"
+            )
 
     def recheck(paths: dict[str, Path]) -> dict[str, Any]:
         found = printcheck.of_files(paths, made.expected_bodies)
@@ -312,7 +317,7 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         arrays=made.arrays | {"mm_from_input": made.mm_from_input},
         files=files,
         metrics=metrics,
-        warnings=[*made.warnings, *(f"will not print: {text}" for text in failed), *warned],
+        warnings=[*warnings, *(f"will not print: {text}" for text in failed), *warned],
         frame={
             "unit": "mm",
             "input_from_model": np.linalg.inv(made.mm_from_input).tolist(),

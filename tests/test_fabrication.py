@@ -81,13 +81,13 @@ def test_tapered_tubes_are_measured_as_they_are() -> None:
     part = assembly.largest(assembly.union(tubes.tubes(graph, radii, 12)))
     points = printability.axis_points(graph, lambda at: np.ones(len(at), bool))
     (check,) = printability.wall(
-        part.vertices, part.triangles, points, np.zeros((0, 3)), 0.8, 0.4, 0.2
+        part.vertices.astype(float), part.triangles, points, np.zeros((0, 3)), 0.8, 0.4, 0.2
     )
     assert check.verdict == "ok"
     # The thinnest axis point lies a tenth along a tube from the highest node.
     assert 1.2 <= check.value <= 1.45
     (check,) = printability.wall(
-        part.vertices, part.triangles, points, np.zeros((0, 3)), 0.8, 0.9, 0.2
+        part.vertices.astype(float), part.triangles, points, np.zeros((0, 3)), 0.8, 0.9, 0.2
     )
     assert check.verdict == "fail"
 
@@ -169,10 +169,10 @@ def test_islands_and_layers() -> None:
     post, arm = box((10, 10, 40), (0, 0, 0)), box((30, 10, 5), (0, 0, 35))
     tooth = box((4, 3, 20), (25, 3, 18))
     plain = assembly.largest(post + arm)
-    found = layers.islands(plain.vertices, plain.triangles, 0.5, 0.4)
+    found = layers.islands(plain.vertices.astype(float), plain.triangles, 0.5, 0.4)
     assert (found.layers, found.empty_layers, len(found.areas)) == (80, 0, 0)
     toothed = assembly.largest(post + arm + tooth)
-    found = layers.islands(toothed.vertices, toothed.triangles, 0.5, 0.4)
+    found = layers.islands(toothed.vertices.astype(float), toothed.triangles, 0.5, 0.4)
     assert len(found.areas) == 1
     assert found.places[0] == pytest.approx([27, 4.5, 18.25], abs=0.3)
     assert found.areas[0] == pytest.approx(12, rel=0.2)
@@ -192,7 +192,7 @@ def test_layers_have_the_sections_area(seed: int) -> None:
 
 def test_overhangs_of_a_mushroom() -> None:
     part = assembly.largest(box((10, 10, 20), (-5, -5, 0)) + box((30, 30, 2), (-15, -15, 20)))
-    check = printability.overhangs(part.vertices, part.triangles)
+    check = printability.overhangs(part.vertices.astype(float), part.triangles)
     area = 2 * 900 + 4 * 30 * 2 + 4 * 10 * 20
     assert check.value == pytest.approx((900 - 100) / area, abs=1e-4)
     assert check.verdict == "warn"

@@ -341,8 +341,9 @@ def test_a_real_slicer_takes_the_lamp(make: Make) -> None:
     assert sliced["filament_g"] > 5
 
 
+@pytest.mark.parametrize("traced", [True, False])
 @pytest.mark.parametrize("night", [True, False])
-def test_lit_pictures(night: bool) -> None:
+def test_lit_pictures(night: bool, traced: bool) -> None:
     from io import BytesIO
 
     from PIL import Image
@@ -350,13 +351,16 @@ def test_lit_pictures(night: bool) -> None:
     vertices, triangles = sphere_mesh(30.0, 2)
     cage = vertices + np.array([0, 0, 30])
     light = (0.0, 0.0, 30.0) if night else None
-    data = lit.png(cage.astype(np.float32), triangles[::2], light, 2, samples=16, size=96)
+    scene = cage.astype(np.float32), triangles[::2], light
+    data = lit.png(*scene, 2, samples=16, size=96) if traced else lit.rasterised(*scene)
     picture = np.asarray(Image.open(BytesIO(data)).convert("RGB"), float)
-    assert picture.shape == (96, 96, 3)
-    middle, corner = picture[40:56, 40:56], picture[:12, :12]
+    size = 96 if traced else lit.SIZE
+    assert picture.shape == (size, size, 3)
+    third, eighth = size // 3, size // 8
+    middle, corner = picture[third:-third, third:-third], picture[:eighth, :eighth]
     if night:  # warm light within, little around it
-        assert middle.mean() > 3 * corner.mean()
-        assert middle[..., 0].mean() > 1.2 * middle[..., 2].mean()
+        assert middle.mean() > 1.5 * corner.mean()
+        assert middle[..., 0].mean() > 1.1 * middle[..., 2].mean()
     else:
         assert corner.mean() > 100
 

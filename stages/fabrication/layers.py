@@ -38,7 +38,6 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
     below: NDArray[np.bool_] | None = None
     places, areas = [], []
     count = empty = 0
-    vertices = np.asarray(vertices, dtype=np.float64)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     pitch = max(nozzle, float((high - low)[:2].max()) / MOST_CELLS)
     heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)

@@ -67,7 +67,6 @@ def wall(
     """
     import igl
 
-    surface = np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
     found = []
     for name, points, limit, wanted in (
         ("tubes", axes, 2 * nozzle, None),
@@ -75,7 +74,7 @@ def wall(
     ):
         if len(points) == 0:
             continue
-        thickness = 2 * np.sqrt(igl.point_mesh_squared_distance(points, *surface)[0])
+        thickness = 2 * np.sqrt(igl.point_mesh_squared_distance(points, vertices, triangles)[0])
         order = np.argsort(thickness)
         least = float(thickness[order[0]])
         thin = int((thickness < limit - THIN).sum())
@@ -154,7 +153,6 @@ def layered(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> l
 
 def overhangs(vertices: Floats, triangles: Ints) -> Check:
     """Shares of the surface that look down, beyond STEEP and FLAT; what stands on the floor not."""
-    vertices = np.asarray(vertices, dtype=np.float64)
     area = triangle_areas(vertices, triangles)
     normal = triangle_normals(vertices, triangles)[0]
     middle = vertices[triangles].mean(axis=1)

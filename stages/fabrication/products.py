@@ -87,7 +87,7 @@ class Product:
 
     def checks(self, room: tuple[float, float, float], nozzle: float, layer: float) -> list[Check]:
         """All checks: of the finished mesh, and those measured while it was made."""
-        vertices, triangles = self.part.vertices, self.part.triangles
+        vertices, triangles = self.part.vertices.astype(np.float64), self.part.triangles
         size = np.ptp(vertices, axis=0)
         found = [printability.bed((float(size[0]), float(size[1]), float(size[2])), room)]
         found += self.measured
@@ -193,10 +193,12 @@ def tubes_of(
     radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
     outer = radii * enlarged
     gaps = plates.openings(graph.faces, outer)
-    closed = np.flatnonzero(gaps < design.nozzle / 2)
+    sealed = gaps < design.nozzle / 2
+    closed, free = np.flatnonzero(sealed), np.flatnonzero(~sealed)
     bodies = tubes.tubes(graph, radii, design.sides, design.fillet)
     progress.advance(1, f"{len(bodies)} tubes")
-    chosen = plates.choose(graph.faces, design.plates, design.plate_pattern, random)
+    open_faces = graph.faces.select_faces(~sealed)
+    chosen = free[plates.choose(open_faces, design.plates, design.plate_pattern, random)]
     panes = np.union1d(chosen, closed)
     thickness = min(design.plate_thickness, float(2 * radii.min()))
     bodies += plates.plates(graph.faces, panes, thickness)
@@ -215,20 +217,20 @@ def tubes_of(
         body = body.trim_by_plane((0, 0, 1), 0.0)
     part = _closed(body, "object", "raise --height or --tube-diameter, or lower --merge")
     lid = None if made.lid is None else assembly.largest(made.lid)
-    inside_out = _uncut(stance, diameter, cable)
+    clear = _uncut(stance, diameter, cable)
     area, _, centre = face_frames(graph.faces)
     checks = printability.wall(
-        part.vertices,
+        part.vertices.astype(np.float64),
         part.triangles,
-        printability.axis_points(graph, inside_out),
-        centre[panes][inside_out(centre[panes])],
+        printability.axis_points(graph, clear),
+        centre[panes][clear(centre[panes])],
         thickness,
         design.nozzle,
         design.layer,
     )
     checks += [
-        printability.bridges(graph, inside_out),
-        printability.floating(graph, inside_out),
+        printability.bridges(graph, clear),
+        printability.floating(graph, clear),
         printability.sealed(centre[closed], gaps[closed], graph.faces.face_count),
     ]
     metrics: dict[str, Any] = {}
@@ -269,14 +271,14 @@ def tubes_of(
             "plates": graph.face_sources[chosen],
         },
         metrics=metrics,
-        warnings=_warnings(shape, asked, design, stance, made, len(chosen), graph, touching),
+        warnings=_warnings(shape, asked, design, stance, made, len(chosen), len(free), touching),
         measured=checks,
     )
 
 
 def _warnings(
     shape: Shape, asked: Request, design: Design, stance: Stance, made: Stand, plated: int,
-    graph: tubes.TubeGraph, unexplained: int,
+    free: int, unexplained: int,
 ) -> list[str]:  # fmt: skip
     said = []
     if shape.drawn == "trained polygons" and design.edges == "surface":
@@ -292,7 +294,7 @@ def _warnings(
         )
     if made.widened:
         said.append("the foot was made wider than the shape, which would not stand on its own")
-    wanted = round(design.plates * graph.faces.face_count)
+    wanted = round(design.plates * free)
     if plated < wanted:
         said.append(f"{plated} of {wanted} plates: more would leave too little of it open")
     if unexplained and design.edges == "surface":

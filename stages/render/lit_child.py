@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-AZIMUTH, ELEVATION = -60.0, 16.0
 FIELD_OF_VIEW = 30.0
 
 
@@ -19,9 +18,9 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
     low, high = np.array(asked["low"]), np.array(asked["high"])
     middle = 0.5 * (low + high)
     reach = 0.5 * float(np.linalg.norm(high - low))
-    turn, rise = np.radians([AZIMUTH, ELEVATION])
+    turn, rise = np.radians([asked["azimuth"], asked["elevation"]])
     towards = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-    eye = middle + towards * 0.98 * reach / np.sin(np.radians(FIELD_OF_VIEW / 2))
+    eye = middle + towards * 0.84 * reach / np.sin(np.radians(FIELD_OF_VIEW / 2))
     found: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 8},
@@ -87,7 +86,8 @@ def main() -> None:
     drjit.set_thread_count(asked["threads"])
     mi.set_variant("scalar_rgb")
     image = mi.render(mi.load_dict(scene(asked)))
-    mi.util.write_bitmap(asked["target"], image)
+    write: Any = mi.util.write_bitmap
+    write(asked["target"], image)
 
 
 if __name__ == "__main__":
