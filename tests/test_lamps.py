@@ -351,7 +351,8 @@ def test_lit_pictures(night: bool, traced: bool) -> None:
     vertices, triangles = sphere_mesh(30.0, 2)
     cage = vertices + np.array([0, 0, 30])
     light = (0.0, 0.0, 30.0) if night else None
-    scene = cage.astype(np.float32), triangles[::2], light
+    sheets = np.concatenate([triangles[::2], triangles[::2, ::-1]])
+    scene = cage.astype(np.float32), sheets, light
     data = lit.png(*scene, 2, samples=16, size=96) if traced else lit.rasterised(*scene)
     picture = np.asarray(Image.open(BytesIO(data)).convert("RGB"), float)
     size = 96 if traced else lit.SIZE
