@@ -191,7 +191,7 @@ def run(context: Context) -> Outcome:
 
     Of a surface of triangles the dual is drawn, a polygon around each vertex.
     """
-    from .fabrication import products, slicer
+    from .fabrication import lattice, products, slicer
     from .sources.resolve import up_axis
     from .surface.dual import dual
     from .surface.polygons import PolygonMesh
@@ -208,7 +208,7 @@ def run(context: Context) -> Outcome:
     up = params.up if params.up != "auto" else up_axis(recorded["inputs"][0]["path"])
     volume = context.arrays("volume") if params.needs_volume else None
     context.progress.start("fabricate", 4)
-    shape = products.Shape(
+    shape = lattice.Shape(
         polygons=dual(polygons) if triangles else polygons,
         surface=surface,
         drawn="dual" if triangles else "trained polygons",
@@ -220,7 +220,7 @@ def run(context: Context) -> Outcome:
     elif params.explode > 1:
         made = products.exploded(shape, asked, params.explode)
     else:
-        design = products.Design(
+        design = lattice.Design(
             params.which_edges, params.tube_diameter, params.taper, params.sides, params.fillet,
             params.merge, params.plate_share, params.plate_pattern, params.plate_thickness,
             params.cable, params.nozzle, params.layer, lambda d: _check_diameter(d, params),

@@ -65,7 +65,13 @@ def test_a_whole_run(heart_run: Path, manifest: Callable[[str], dict[str, Any]])
     assert not any(manifest("volume")["metrics"]["faults"].values())
     assert manifest("volume")["metrics"]["volume_error"] < 1e-6
     page = (heart_run / "report.html").read_text()
-    assert page.count("<img") == 3
+    spots = [
+        check["name"]
+        for check in manifest("fabricate")["metrics"]["printability"]
+        if check["worst"] and check["name"] != "stability"
+    ]
+    assert page.count("<img") == 3 + len(spots)
+    assert all(f'<img alt="{name}"' in page for name in spots)
     assert "pair_area_share" in page
 
 

@@ -209,9 +209,8 @@ def stability(found: Balance) -> Check:
     )  # fmt: skip
 
 
-def openness(area: float, closed: float) -> Check:
+def openness(share: float) -> Check:
     """The share of the surface that lets light out: what neither plates nor tubes cover."""
-    share = 1 - closed / area
     return Check(
         "open area", "ok" if share >= 0.1 else "warn", round(share, 4), 0.1, "share",
         f"{100 * share:.0f} % of the surface is open",

@@ -2,63 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import NumericalFailure, UsageError
+from ..errors import NumericalFailure
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, PolygonMesh
-from . import assembly, base, lamp, plates, printability, tubes
+from . import assembly, base, lamp, lattice, printability
 from . import solid as solids
 from .assembly import Part
 from .lamp import Request, Stance, Stand
+from .lattice import Design, Lattice, Shape
 from .printability import Check
 
 if TYPE_CHECKING:
     from ..contract import Progress
 
-CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.6, 2.5, 8.0
-"""Default tube diameter over the radius of the faces, and its limits in nozzle widths."""
-MOST_SEALED = 0.5
-"""Tubes that close more of the faces than this are refused."""
 MOST_DROPPED = 1.0
 """Volume in mm^3 that may be lost with parts that hang on nothing."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What an object is made of, in the input's coordinates."""
-
-    polygons: PolygonMesh
-    """Whose edges the tubes follow."""
-    surface: PolygonMesh
-    """Closed; its inside is the object's."""
-    drawn: str
-    volume: Mapping[str, Any] | None
-    """Arrays of stage volume, where cells are asked for."""
-
-
-@dataclass(frozen=True)
-class Design:
-    """How tubes and plates are made, in mm."""
-
-    edges: str
-    diameter: float | None
-    taper: float
-    sides: int
-    fillet: bool
-    merge: float | None
-    plates: float
-    plate_pattern: str
-    plate_thickness: float
-    cable: float | None
-    nozzle: float
-    layer: float
-    check: Callable[[float], None]
-    """Raises UsageError for a diameter that does not fit the rest."""
 
 
 def _no_tubes() -> dict[str, Any]:
@@ -177,86 +141,44 @@ def tubes_of(
     """
     # The scale decides the default diameter, which decides how much room tubes take: twice round.
     first = lamp.stand(shape.polygons, shape.surface, replace(asked, light=None))
-    followed = shape.polygons
-    if design.edges != "surface" and shape.volume is not None:
-        followed = PolygonMesh.from_arrays(shape.volume)
+    mesh = lattice.followed(shape, design)
     diameter = design.diameter
     if diameter is None:
-        diameter = _default_diameter(first.apply(followed), design)
+        diameter = lattice.default_diameter(first.apply(mesh), design)
     design.check(diameter)
-    enlarged = tubes.compensation(tubes.ball(design.sides))
-    overhang = enlarged * diameter / 2
+    overhang = lattice.enlargement(design) * diameter / 2
     stance = lamp.stand(shape.polygons, shape.surface, replace(asked, overhang=overhang))
-    _refuse_thick(stance.apply(followed), overhang, diameter, design)
+    lattice.refuse_thick(stance.apply(mesh), overhang, diameter, design)
     surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
-    graph = _graph(shape, stance, polygons, design, diameter)
-    radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
-    outer = radii * enlarged
-    gaps = plates.openings(graph.faces, outer)
-    sealed = gaps < design.nozzle / 2
-    closed, free = np.flatnonzero(sealed), np.flatnonzero(~sealed)
-    bodies = tubes.tubes(graph, radii, design.sides, design.fillet)
-    progress.advance(1, f"{len(bodies)} tubes")
-    open_faces = graph.faces.select_faces(~sealed)
-    chosen = free[plates.choose(open_faces, design.plates, design.plate_pattern, random)]
-    panes = np.union1d(chosen, closed)
-    thickness = min(design.plate_thickness, float(2 * radii.min()))
-    bodies += plates.plates(graph.faces, panes, thickness)
-    lattice = assembly.union(bodies)
+    made = lattice.build(shape, stance, design, diameter, random, progress)
     progress.advance(2, "base")
     cable = design.cable
     if cable is None:
         cable = asked.light.cable if asked.light is not None else 0.0
-    made = lamp.bodies(stance, surface, polygons, cable)
-    body = lattice
-    for added in made.add:
+    footing = lamp.bodies(stance, surface, polygons, cable)
+    body = made.body
+    for added in footing.add:
         body += added
-    for taken in made.remove:
+    for taken in footing.remove:
         body -= taken
     if stance.base != "none":
         body = body.trim_by_plane((0, 0, 1), 0.0)
-    part = _closed(body, "object", "raise --height or --tube-diameter, or lower --merge")
-    lid = None if made.lid is None else assembly.largest(made.lid)
-    clear = _uncut(stance, diameter, cable)
-    area, _, centre = face_frames(graph.faces)
-    checks = printability.wall(
-        part.vertices.astype(np.float64),
-        part.triangles,
-        printability.axis_points(graph, clear),
-        centre[panes][clear(centre[panes])],
-        thickness,
-        design.nozzle,
-        design.layer,
-    )
-    checks += [
-        printability.bridges(graph, clear),
-        printability.floating(graph, clear),
-        printability.sealed(centre[closed], gaps[closed], graph.faces.face_count),
-    ]
-    metrics: dict[str, Any] = {}
+    part = _closed(body, "object", _how_to_join(made, design))
+    lid = None if footing.lid is None else assembly.largest(footing.lid)
+    checks, metrics = _measured(made, stance, design, part, _uncut(stance, diameter, cable))
     if stance.base != "none":
-        stable, metrics = _standing(body)
+        stable, balance = _standing(body)
         checks.append(stable)
-    if stance.place is not None:
-        openness = (np.maximum(gaps, 0) / np.maximum(gaps + outer.mean(), 1e-300)) ** 2
-        openness[panes] = 0
-        checks.append(printability.openness(float(area.sum()), float(area @ (1 - openness))))
-    handles = assembly.handles(lattice)
-    touching = handles - (graph.loops - len(panes))
+        metrics |= balance
+    graph = made.graph
     metrics |= _facts(part, stance) | {
         "up": asked.up,
         "drawn": shape.drawn if design.edges == "surface" else f"edges of the {design.edges}",
         "tube_diameter_mm": diameter,
         "tubes": len(graph.tubes),
-        "plates": len(chosen),
-        "sealed_faces": graph.face_sources[closed].tolist(),
+        "plates": len(made.chosen),
+        "sealed_faces": graph.face_sources[made.sealed].tolist(),
         "edges_mean_mm": float(graph.lengths.mean()),
-        "lattice": {
-            "edges_less_nodes_plus_parts": graph.loops,
-            "closed_faces": len(panes),
-            "genus": handles,
-            "unexplained": touching,
-        },
     }
     return Product(
         name="lamp" if stance.place is not None else "lattice",
@@ -267,19 +189,59 @@ def tubes_of(
         arrays={
             "nodes": graph.nodes,
             "tubes": graph.tubes,
-            "radii": radii,
-            "plates": graph.face_sources[chosen],
+            "radii": made.radii,
+            "plates": graph.face_sources[made.chosen],
         },
         metrics=metrics,
-        warnings=_warnings(shape, asked, design, stance, made, len(chosen), len(free), touching),
+        warnings=_warnings(shape, asked, design, stance, footing, made),
         measured=checks,
     )
 
 
+def _how_to_join(made: Lattice, design: Design) -> str:
+    if made.graph.parts > 1:
+        way = "print them one by one"
+        if design.edges == "surface":
+            way += ", or, if one lies inside the other, join them with --edges both"
+        return f"the shape is in {made.graph.parts} parts that no tube joins: {way}"
+    return "raise --height or --tube-diameter, or lower --merge"
+
+
+def _measured(
+    made: Lattice, stance: Stance, design: Design, part: Part, clear: Callable[[Floats], Any]
+) -> tuple[list[Check], dict[str, Any]]:
+    """Checks of tubes and plates where they are ``clear`` of what is cut, and the lattice's
+    figures."""
+    graph, panes = made.graph, made.panes
+    area, _, centre = face_frames(graph.faces)
+    checks = printability.wall(
+        part.vertices.astype(np.float64),
+        part.triangles,
+        printability.axis_points(graph, clear),
+        centre[panes][clear(centre[panes])],
+        made.thickness,
+        design.nozzle,
+        design.layer,
+    )
+    checks += [
+        printability.bridges(graph, clear),
+        printability.floating(graph, clear),
+        printability.sealed(centre[made.sealed], made.gaps[made.sealed], graph.faces.face_count),
+    ]
+    if stance.place is not None:
+        checks.append(printability.openness(float(area @ made.open_area) / float(area.sum())))
+    figures = {
+        "edges_less_nodes_plus_parts": graph.loops,
+        "closed_faces": len(panes),
+        "genus": made.genus,
+        "unexplained": made.touching,
+    }
+    return checks, {"lattice": figures}
+
+
 def _warnings(
-    shape: Shape, asked: Request, design: Design, stance: Stance, made: Stand, plated: int,
-    free: int, unexplained: int,
-) -> list[str]:  # fmt: skip
+    shape: Shape, asked: Request, design: Design, stance: Stance, footing: Stand, made: Lattice
+) -> list[str]:
     said = []
     if shape.drawn == "trained polygons" and design.edges == "surface":
         said.append("the trained polygons are drawn: the interface of their generators has slivers")
@@ -292,59 +254,18 @@ def _warnings(
         said.append(
             f"{100 * stance.trim:.0f} % of the height were cut off to make room for the light"
         )
-    if made.widened:
+    if footing.widened:
         said.append("the foot was made wider than the shape, which would not stand on its own")
-    wanted = round(design.plates * free)
-    if plated < wanted:
-        said.append(f"{plated} of {wanted} plates: more would leave too little of it open")
-    if unexplained and design.edges == "surface":
+    wanted = round(design.plates * (made.graph.faces.face_count - len(made.sealed)))
+    if len(made.chosen) < wanted:
+        shown = len(made.chosen)
+        said.append(f"{shown} of {wanted} plates: more would leave too little of it open")
+    if made.touching and design.edges == "surface":
         said.append(
-            f"tubes touch in {abs(unexplained)} places where no face closes (the shape is thin "
+            f"tubes touch in {abs(made.touching)} places where no face closes (the shape is thin "
             "there)"
         )
     return said
-
-
-def _graph(
-    shape: Shape, stance: Stance, polygons: PolygonMesh, design: Design, diameter: float
-) -> tubes.TubeGraph:
-    weld = diameter / 2 if design.merge is None else design.merge
-    if design.edges == "surface":
-        return tubes.tube_graph(polygons, weld)
-    assert shape.volume is not None
-    wanted = solids.edges_of(shape.volume, design.edges)
-    mesh = stance.apply(PolygonMesh.from_arrays(shape.volume))
-    if design.edges == "volume":
-        key = mesh.vertex_count
-        sides = np.sort(np.stack([mesh.face_vertices, mesh.next_vertices], axis=1), axis=1)
-        there = np.isin(sides @ [key, 1], wanted @ [key, 1])
-        mesh = mesh.select_faces(np.bincount(mesh.corner_faces, ~there) == 0)
-    return tubes.tube_graph(mesh, weld, wanted)
-
-
-def _default_diameter(mesh: PolygonMesh, design: Design) -> float:
-    """In mm, from the radius of the faces of ``mesh``; no less than plates or a taper need."""
-    radius = float(np.median(plates.openings(mesh, np.zeros(mesh.vertex_count))))
-    end = max(2 * design.nozzle, design.plate_thickness if design.plates > 0 else 0.0)
-    least = max(LEAST_NOZZLES * design.nozzle, end / design.taper)
-    wanted = max(least, min(CELL_TO_TUBE * radius, MOST_NOZZLES * design.nozzle))
-    return float(np.ceil(100 * wanted) / 100)
-
-
-def _refuse_thick(mesh: PolygonMesh, outer: float, diameter: float, design: Design) -> None:
-    """Raises UsageError when tubes of that outer radius close over MOST_SEALED of the faces."""
-    gaps = plates.openings(mesh, np.full(mesh.vertex_count, outer))
-    closed = np.flatnonzero(gaps < design.nozzle / 2)
-    if len(closed) <= MOST_SEALED * mesh.face_count:
-        return
-    named = ", ".join(map(str, closed[np.argsort(gaps[closed])[:5]].tolist()))
-    most = diameter + 2 * float(np.median(gaps)) - design.nozzle
-    way = f"at most {most:.1f} keeps half of them open: lower it, "
-    raise UsageError(
-        f"--tube-diameter {diameter:g}: would close {len(closed)} of {mesh.face_count} faces "
-        f"(first {named}); {way if most >= 2 * design.nozzle else ''}raise --height or make larger "
-        "cells with -n or --edge-length"
-    )
 
 
 def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], Any]:

@@ -32,15 +32,19 @@ class TubeGraph:
         return np.asarray(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
     @property
-    def loops(self) -> int:
-        """Independent cycles, E - V + components: the genus of thin tubes along the graph."""
+    def parts(self) -> int:
+        """Connected components."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
         count, ends = len(self.nodes), self.tubes
         graph = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(count, count))
-        parts, _ = connected_components(graph, directed=False)
-        return len(ends) - count + int(parts)
+        return int(connected_components(graph, directed=False)[0])
+
+    @property
+    def loops(self) -> int:
+        """Independent cycles, E - V + components: the genus of thin tubes along the graph."""
+        return len(self.tubes) - len(self.nodes) + self.parts
 
 
 def tube_graph(surface: PolygonMesh, weld: float, wanted: Ints | None = None) -> TubeGraph:

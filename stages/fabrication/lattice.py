@@ -1,0 +1,164 @@
+"""The lattice of an object: tubes along edges, and the faces that plates close or tubes seal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import UsageError
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from . import assembly, plates, solid, tubes
+from .lamp import Stance
+
+if TYPE_CHECKING:
+    from ..contract import Progress
+
+CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.6, 2.5, 8.0
+"""Default tube diameter over the radius of the faces, and its limits in nozzle widths."""
+MOST_SEALED = 0.5
+"""Tubes that close more of the faces than this are refused."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What an object is made of, in the input's coordinates."""
+
+    polygons: PolygonMesh
+    """Whose edges the tubes follow."""
+    surface: PolygonMesh
+    """Closed; its inside is the object's."""
+    drawn: str
+    volume: Mapping[str, Any] | None
+    """Arrays of stage volume, where cells are asked for."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """How tubes and plates are made, in mm."""
+
+    edges: str
+    diameter: float | None
+    taper: float
+    sides: int
+    fillet: bool
+    merge: float | None
+    plates: float
+    plate_pattern: str
+    plate_thickness: float
+    cable: float | None
+    nozzle: float
+    layer: float
+    check: Callable[[float], None]
+    """Raises UsageError for a diameter that does not fit the rest."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """United tubes and plates, in mm."""
+
+    body: Any
+    graph: tubes.TubeGraph
+    radii: Floats
+    """At the nodes ``(K,)``."""
+    gaps: Floats
+    """Radius of the opening that tubes leave in each face ``(F,)``."""
+    sealed: Ints
+    """Faces without an opening as wide as the nozzle: they are closed by panes."""
+    chosen: Ints
+    """Faces that became plates."""
+    thickness: float
+    """Of the panes."""
+    touching: int
+    """By how much the genus differs from that of the graph less the closed faces."""
+    genus: int
+
+    @property
+    def panes(self) -> Ints:
+        return np.union1d(self.chosen, self.sealed)
+
+    @property
+    def open_area(self) -> Floats:
+        """Share of each face ``(F,)`` that is open."""
+        wide = np.maximum(self.gaps, 0)
+        share = (wide / np.maximum(wide + self.radii.mean(), 1e-300)) ** 2
+        share[self.panes] = 0
+        return np.asarray(share)
+
+
+def build(
+    shape: Shape, stance: Stance, design: Design, diameter: float, random: np.random.Generator,
+    progress: Progress,
+) -> Lattice:  # fmt: skip
+    """The lattice of ``shape`` where ``stance`` puts it."""
+    graph = _graph(shape, stance, design, diameter)
+    radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
+    gaps = plates.openings(graph.faces, radii * enlargement(design))
+    closed = gaps < design.nozzle / 2
+    sealed, free = np.flatnonzero(closed), np.flatnonzero(~closed)
+    bodies = tubes.tubes(graph, radii, design.sides, design.fillet)
+    progress.advance(1, f"{len(bodies)} tubes")
+    open_faces = graph.faces.select_faces(~closed)
+    chosen = free[plates.choose(open_faces, design.plates, design.plate_pattern, random)]
+    thickness = min(design.plate_thickness, float(2 * radii.min()))
+    panes = np.union1d(chosen, sealed)
+    bodies += plates.plates(graph.faces, panes, thickness)
+    body = assembly.union(bodies)
+    genus = assembly.handles(body)
+    touching = genus - (graph.loops - len(panes))
+    return Lattice(body, graph, radii, gaps, sealed, chosen, thickness, touching, genus)
+
+
+def enlargement(design: Design) -> float:
+    """Factor on the radius of a tube with so many sides."""
+    return tubes.compensation(tubes.ball(design.sides))
+
+
+def followed(shape: Shape, design: Design) -> PolygonMesh:
+    """The mesh along whose edges tubes go, in the input's coordinates."""
+    if design.edges == "surface":
+        return shape.polygons
+    assert shape.volume is not None
+    return PolygonMesh.from_arrays(shape.volume)
+
+
+def _graph(shape: Shape, stance: Stance, design: Design, diameter: float) -> tubes.TubeGraph:
+    weld = diameter / 2 if design.merge is None else design.merge
+    mesh = stance.apply(followed(shape, design))
+    if design.edges == "surface":
+        return tubes.tube_graph(mesh, weld)
+    assert shape.volume is not None
+    wanted = solid.edges_of(shape.volume, design.edges)
+    if design.edges == "volume":
+        key = mesh.vertex_count
+        sides = np.sort(np.stack([mesh.face_vertices, mesh.next_vertices], axis=1), axis=1)
+        there = np.isin(sides @ [key, 1], wanted @ [key, 1])
+        mesh = mesh.select_faces(np.bincount(mesh.corner_faces, ~there) == 0)
+    return tubes.tube_graph(mesh, weld, wanted)
+
+
+def default_diameter(mesh: PolygonMesh, design: Design) -> float:
+    """In mm, from the radius of the faces of ``mesh``; no less than plates or a taper need."""
+    radius = float(np.median(plates.openings(mesh, np.zeros(mesh.vertex_count))))
+    end = max(2 * design.nozzle, design.plate_thickness if design.plates > 0 else 0.0)
+    least = max(LEAST_NOZZLES * design.nozzle, end / design.taper)
+    wanted = max(least, min(CELL_TO_TUBE * radius, MOST_NOZZLES * design.nozzle))
+    return float(np.ceil(100 * wanted) / 100)
+
+
+def refuse_thick(mesh: PolygonMesh, outer: float, diameter: float, design: Design) -> None:
+    """Raises UsageError when tubes of that outer radius close over MOST_SEALED of the faces."""
+    gaps = plates.openings(mesh, np.full(mesh.vertex_count, outer))
+    closed = np.flatnonzero(gaps < design.nozzle / 2)
+    if len(closed) <= MOST_SEALED * mesh.face_count:
+        return
+    named = ", ".join(map(str, closed[np.argsort(gaps[closed])[:5]].tolist()))
+    most = diameter + 2 * float(np.median(gaps)) - design.nozzle
+    way = f"at most {most:.1f} keeps half of them open: lower it, "
+    raise UsageError(
+        f"--tube-diameter {diameter:g}: would close {len(closed)} of {mesh.face_count} faces "
+        f"(first {named}); {way if most >= 2 * design.nozzle else ''}raise --height or make larger "
+        "cells with -n or --edge-length"
+    )
