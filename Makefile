@@ -163,6 +163,7 @@ pictures: | $(VENV)/installed
 	test -f chameleon.pts || $(BIN)/vorolight sample chameleon
 	$(BIN)/vorolight classify chameleon.pts --preview
 	cp chameleon.vorolight/classify.png examples/chameleon-preview.png
+	@$(MAKE) --no-print-directory -C examples
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
