@@ -15,7 +15,7 @@ from ..surface.polygons import Floats, PolygonMesh
 from ..torch_start import settle
 from . import code
 from .expression import Formula, parse, search_box
-from .grid import load
+from .grid import SampledField, load
 
 
 def _heart(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
@@ -124,6 +124,8 @@ class FieldSource:
         """F ``(N,)`` and its gradient ``(N, 3)`` at ``points (N, 3)``."""
         import torch
 
+        if isinstance(self.field.formula, SampledField):
+            return self.field.formula.value_and_gradient(points)
         at = torch.tensor(points, requires_grad=True)
         value = self.level(at)
         (slope,) = torch.autograd.grad(value.sum(), at)
