@@ -59,10 +59,12 @@ $(VENV)/benched-with: $(VENV)/installed
 	$(PIP) -e '.[bench]'
 	@touch $@
 
+# Two files of tests at a time: most of their time is one thread's.
+PYTEST = OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 2 --dist loadscope
 test: $(VENV)/tested-with
-	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest
+	$(PYTEST)
 test-all: $(VENV)/tested-with
-	OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -m ''
+	$(PYTEST) -m ''
 
 bench: $(VENV)/benched-with
 	$(BIN)/python tests/benchmarks/interface.py

@@ -112,7 +112,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
     ball(folder / "ball.ply")
     words = ["views", "ball.ply", "-o", "seen", "--count", 16, "--size", 96, "--quiet"]
     assert cli(*words, cwd=folder).returncode == 0
-    words = ["run", "seen", "-n", 8, "--until", "shade", "--shade-iterations", 1500, "--width", 64,
+    words = ["run", "seen", "-n", 8, "--until", "shade", "--shade-iterations", 600, "--width", 64,
              "--shade-render", "orbit", "--frames", 4, "--size", 64, "--inner", 10,
              "--cvt-iterations", 2, "--threads", 2, "--quiet"]  # fmt: skip
     done = cli(*words, cwd=folder)

@@ -237,7 +237,7 @@ def test_turned_and_scaled_meshes_give_the_same_surface(tmp_path: Path, cli: Cli
         for words in (
             ["init", f"{name}.ply", "-n", 10, "--iterations", 3],
             ["sphere-train"],
-            ["evaluate", "--samples", 20000],
+            ["evaluate", "--samples", 5000],
         ):
             where = [] if words[0] == "init" else ["--run", f"{name}.vorolight"]
             done = cli(*words, *where, cwd=tmp_path)

@@ -28,7 +28,7 @@ def test_backends_give_the_same_surface(tmp_path: Path, cli: Cli) -> None:
 
 
 def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
-    words = ["init", "sphere", "-n", 12, "--iterations", 2, "--run", "run"]
+    words = ["init", "sphere", "-n", 10, "--iterations", 2, "--run", "run"]
     done = cli(*words, "--max-memory", 0.3, cwd=tmp_path)
     assert done.returncode == 2
     assert "init: needs about 0.6 GB of memory and --max-memory is 0.3: raise it" in done.stderr
@@ -36,8 +36,13 @@ def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
     done = cli(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "init: about 0.6 GB of memory" in done.stderr
-    for stage in ("sphere-train", "volume", "evaluate", "fabricate"):
-        assert cli(stage, "--run", "run", cwd=tmp_path).returncode == 0
+    for stage, *words in (
+        ("sphere-train", "--iterations", 20),
+        ("volume", "--inner", 50),
+        ("evaluate", "--samples", 5000),
+        ("fabricate", "--sides", 6),
+    ):
+        assert cli(stage, *words, "--run", "run", cwd=tmp_path).returncode == 0
     stems = ("classify", "init", "sphere-train", "volume", "evaluate-sphere-train", "fabricate")
     for stem in stems:
         found = json.loads((tmp_path / "run" / f"{stem}.json").read_text())["volatile"]
