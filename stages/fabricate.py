@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MODES = ("lamp", "lattice", "solid", "cells")
 FORMATS = ("obj", "glb")
+BESIDE = 10.0
+"""From the object to its lid in the 3MF, mm."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,9 @@ class Params(contract.Params):
         unknown = [name for name in self.wanted_formats if name not in FORMATS]
         if unknown:
             raise UsageError(f"--formats {unknown[0]}: must be of {', '.join(FORMATS)}")
+        self._check_combinations()
+        if self.layer > self.nozzle:
+            raise UsageError(f"--layer {self.layer:g}: higher than the nozzle is wide; lower it")
         if self.height > self.room[2]:
             raise UsageError(
                 f"--height {self.height:g}: the bed has room for {self.room[2]:g} mm; lower it, or "
@@ -133,6 +138,36 @@ class Params(contract.Params):
             )
         if self.explode > 1 and self.mode != "cells":
             raise UsageError("--explode: only cells can be drawn apart; add --cells")
+
+    def _check_combinations(self) -> None:
+        """Options that would be ignored are refused."""
+        lit = self.mode in ("lamp", "cells") and self.explode == 1
+        for here, why, names in (
+            (
+                lit and self.light != "none" and self.base != "none",
+                "there is no light",
+                ("bayonet", "cable", "light_diameter", "light_height"),
+            ),
+            (lit or self.mode == "solid", "it gets no base", ("base", "trim")),
+            (lit or self.mode == "solid", "it has no wall", ("wall",)),
+            (self.base != "none", "nothing is cut off without a base", ("trim",)),
+            (
+                self.mode != "solid" and self.explode == 1,
+                "there are no tubes",
+                ("tube_diameter", "taper", "fillet", "merge", "edges", "plates"),
+            ),
+            (self.light != "largest", "the largest is looked for", ("light_diameter",)),
+        ):
+            for name in names:
+                if (
+                    not here
+                    and getattr(self, name) != type(self).__dataclass_fields__[name].default
+                ):
+                    raise UsageError(f"--{name.replace('_', '-')}: {why}; leave it out")
+        if self.light == "largest" and self.base == "pedestal":
+            raise UsageError("--light largest: is looked for in the shape; take another --base")
+        if 1 < self.explode < 1.01:
+            raise UsageError(f"--explode {self.explode:g}: the cells would touch; at least 1.01")
 
     @property
     def mode(self) -> str:
@@ -273,7 +308,10 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         ),
     }
     if made.lid is not None:
-        bodies.append(threemf.Body("lid", made.lid.vertices, made.lid.triangles))
+        # Beside the object, where it can be printed: locked inside it the two would fuse.
+        right = part.vertices[:, 0].max() - made.lid.vertices[:, 0].min() + np.float32(BESIDE)
+        beside = made.lid.vertices + np.array([right, 0, 0], np.float32)
+        bodies.append(threemf.Body("lid", beside, made.lid.triangles))
         files["lid.stl"] = stl.encode(made.lid.vertices, made.lid.triangles)
     files["3mf"] = threemf.encode(bodies, f"{name} {made.name}", "vorolight")
     if "obj" in params.wanted_formats:
@@ -338,7 +376,7 @@ def _memory(context: Context) -> float:
         else context.arrays("sphere-train")["trained/face_vertices"]
     )
     # An edge has two faces on a surface, and about three in a volume, of which each is held once.
-    return peak(300.0, 250.0, each, len(corners) / (3 if params.needs_volume else 2))
+    return peak(400.0, 300.0, each, len(corners) / (3 if params.needs_volume else 2))
 
 
 def _parents(params: Params) -> tuple[str, ...]:
@@ -347,7 +385,7 @@ def _parents(params: Params) -> tuple[str, ...]:
 
 STAGE = Stage(
     name="fabricate",
-    version=4,
+    version=5,
     params=Params,
     run=run,
     parents=_parents,

@@ -158,6 +158,7 @@ def _run(
     try:
         if outcome.recheck is not None:
             metrics = metrics | {"as_written": outcome.recheck(staged)}
+        _remove_left_over(session.folder, stem, set(staged))
         # From here to the manifest the stage counts as not done.
         session.folder.file(stem, "json").unlink(missing_ok=True)
         outputs, times = [], {}
@@ -213,6 +214,15 @@ def _run(
     atomic.write(session.folder.file(stem, "json"), manifest.encode(clean))
     checkpoints.clear()
     return clean
+
+
+def _remove_left_over(folder: RunFolder, stem: str, roles: set[str]) -> None:
+    """Remove files that the manifest lists and the new one will not, before that manifest goes:
+    after a crash it still tells of them."""
+    for entry in (folder.manifest(stem) or {}).get("outputs", []):
+        path = folder.path / str(entry["path"])
+        if entry["role"] not in roles and path.name == f"{stem}.{entry['role']}":
+            path.unlink(missing_ok=True)
 
 
 def _input_entry(role: str, source: Identity, folder: Path) -> dict[str, Any]:

@@ -13,6 +13,9 @@ from ..surface.polygons import Ints
 
 Floats32 = NDArray[np.float32]
 
+GRID = 2.0**-12
+"""In mm: what any of the formats tells apart. 32 bits hold its multiples up to 4 m; lib3mf writes
+their decimals a little wrong, and GLB has metres."""
 AT_ONCE = 200
 """Bodies that are united in one operation."""
 
@@ -27,6 +30,8 @@ class Part:
     genus: int
     dropped_parts: int
     dropped_volume: float
+    filled_volume: float
+    """Of closed voids that became solid."""
 
 
 def largest(body: Any) -> Part:
@@ -36,7 +41,9 @@ def largest(body: Any) -> Part:
     """
     if body.status().name != "NoError" or body.is_empty():
         raise NumericalFailure(f"the union of the tubes failed ({body.status().name})")
-    parts = sorted(body.decompose(), key=lambda part: -part.volume())
+    # Closed voids come as parts of negative volume: they are filled.
+    pieces = [(part, part.volume()) for part in body.decompose()]
+    parts = [part for part, _ in sorted(pieces, key=lambda piece: -piece[1]) if part.volume() > 0]
     mesh = parts[0].to_mesh64()
     vertices, triangles = _weld(
         np.asarray(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts, dtype=np.int64)
@@ -48,6 +55,7 @@ def largest(body: Any) -> Part:
         genus=int(parts[0].genus()),
         dropped_parts=len(parts) - 1,
         dropped_volume=float(sum(part.volume() for part in parts[1:])),
+        filled_volume=-float(sum(volume for _, volume in pieces if volume < 0)),
     )
 
 
@@ -79,12 +87,17 @@ def union(bodies: list[Any]) -> Any:
     return united(np.arange(len(bodies)))
 
 
+def snapped(vertices: NDArray[np.float64]) -> Floats32:
+    """Rounded to GRID."""
+    return np.asarray(np.round(vertices / GRID) * GRID, dtype=np.float32)
+
+
 def _weld(vertices: NDArray[np.float64], triangles: Ints) -> tuple[Floats32, Ints]:
-    """Round to 32 bits as STL does, merge equal vertices, drop triangles that collapse.
+    """Round to GRID, merge equal vertices, drop triangles that collapse.
 
     Two triangles over the same three vertices in opposite directions enclose nothing and go too.
     """
-    places, index = np.unique(vertices.astype(np.float32), axis=0, return_inverse=True)
+    places, index = np.unique(snapped(vertices), axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]

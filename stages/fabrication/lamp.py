@@ -40,6 +40,8 @@ class Request:
     lid: bool
     bed: tuple[float, float, float]
     """What the printer has room for."""
+    taper: float = 1.0
+    """Radius of the tubes at the top over that at the bottom."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +89,18 @@ def _placed(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stan
 
     def matrix(trim: float, lift: float = 0.0) -> Floats:
         return mm_from_input(
-            polygons.vertices, asked.up, asked.height - lift, trim, asked.overhang, lift
+            polygons.vertices,
+            asked.up,
+            asked.height - lift,
+            trim,
+            asked.overhang,
+            lift,
+            asked.taper,
         )
 
     trims = TRIMS if asked.trim is None else (asked.trim,)
     if asked.base == "none" or asked.light is None:
-        trim = 0.0 if asked.base == "none" and asked.trim is None else trims[0]
+        trim = 0.0 if asked.base == "none" else trims[0]
         kind = "footprint" if asked.base == "auto" else asked.base
         lift = base.FOOT if kind == "pedestal" else 0.0
         return Stance(matrix(trim, lift), trim, lift, kind, None, None, None)
@@ -115,6 +123,7 @@ def _on_pedestal(
     widest: float,
 ) -> Stance:  # fmt: skip
     """With the light in a pedestal; its window is so small that the shape stands beside it."""
+    room = max(widest, 0.0) if np.isfinite(widest) else None
     while True:
         lift = cavity.top
         if lift > 0.5 * asked.height:
@@ -123,9 +132,15 @@ def _on_pedestal(
                 "high; raise --height or take a smaller light"
             )
         matrix = mm_from_input(
-            polygons.vertices, asked.up, asked.height - lift, trim, asked.overhang, lift
+            polygons.vertices,
+            asked.up,
+            asked.height - lift,
+            trim,
+            asked.overhang,
+            lift,
+            asked.taper,
         )
-        stance = Stance(matrix, trim, lift, "pedestal", cavity, None, max(widest, 0.0))
+        stance = Stance(matrix, trim, lift, "pedestal", cavity, None, room)
         placed = stance.apply(surface)
         solid = base.solid_of(placed)
         if cavity.bulb is None:
@@ -195,8 +210,9 @@ def centre_of_edges(polygons: PolygonMesh, low: float) -> Floats:
 
 
 def mm_from_input(
-    vertices: Floats, up: str, height: float, trim: float, overhang: float, lift: float = 0.0
-) -> Floats:
+    vertices: Floats, up: str, height: float, trim: float, overhang: float, lift: float = 0.0,
+    taper: float = 1.0,
+) -> Floats:  # fmt: skip
     """The 4 x 4 map that turns ``up`` to z and gives the printed object its height.
 
     ``trim`` is the share of the shape's height cut off for a flat base, which comes to z = 0, or
@@ -210,7 +226,7 @@ def mm_from_input(
     turn[1, (axis + 2) % 3] = sign  # keeps the map a rotation
     placed = vertices @ turn.T
     low, high = placed.min(axis=0), placed.max(axis=0)
-    free = height - overhang * (1 if trim > 0 else 2)
+    free = height - overhang * (taper if trim > 0 else 1 + taper)
     scale = free / ((high[2] - low[2]) * (1 - trim))
     bottom = low[2] + trim * (high[2] - low[2])
     matrix = np.eye(4)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,12 +94,14 @@ def build(
 ) -> Lattice:  # fmt: skip
     """The lattice of ``shape`` where ``stance`` puts it."""
     graph = _graph(shape, stance, design, diameter)
+    if len(graph.tubes) == 0:
+        raise UsageError(f"--merge {design.merge or 0:g}: contracts every edge; lower it")
     radii = tubes.tapered(graph.nodes, diameter / 2, design.taper)
     gaps = plates.openings(graph.faces, radii * enlargement(design))
     closed = gaps < design.nozzle / 2
     sealed, free = np.flatnonzero(closed), np.flatnonzero(~closed)
     bodies = tubes.tubes(graph, radii, design.sides, design.fillet)
-    progress.advance(1, f"{len(bodies)} tubes")
+    progress.advance(1, f"{len(graph.tubes)} tubes")
     open_faces = graph.faces.select_faces(~closed)
     chosen = free[plates.choose(open_faces, design.plates, design.plate_pattern, random)]
     thickness = min(design.plate_thickness, float(2 * radii.min()))
@@ -116,27 +118,31 @@ def enlargement(design: Design) -> float:
     return tubes.compensation(tubes.ball(design.sides))
 
 
-def followed(shape: Shape, design: Design) -> PolygonMesh:
-    """The mesh along whose edges tubes go, in the input's coordinates."""
+def followed(shape: Shape, design: Design) -> tuple[PolygonMesh, Ints]:
+    """The mesh along whose edges tubes go, in the input's coordinates, and which faces of the
+    surface's polygons or of the volume its faces are."""
     if design.edges == "surface":
-        return shape.polygons
+        return shape.polygons, np.arange(shape.polygons.face_count)
     assert shape.volume is not None
-    return PolygonMesh.from_arrays(shape.volume)
+    mesh = PolygonMesh.from_arrays(shape.volume)
+    if design.edges == "both":
+        return mesh, np.arange(mesh.face_count)
+    key = mesh.vertex_count
+    sides = np.sort(np.stack([mesh.face_vertices, mesh.next_vertices], axis=1), axis=1)
+    there = np.isin(sides @ [key, 1], solid.edges_of(shape.volume, "volume") @ [key, 1])
+    kept = np.bincount(mesh.corner_faces, ~there, minlength=mesh.face_count) == 0
+    return mesh.select_faces(kept), np.flatnonzero(kept)
 
 
 def _graph(shape: Shape, stance: Stance, design: Design, diameter: float) -> tubes.TubeGraph:
     weld = diameter / 2 if design.merge is None else design.merge
-    mesh = stance.apply(followed(shape, design))
-    if design.edges == "surface":
-        return tubes.tube_graph(mesh, weld)
-    assert shape.volume is not None
-    wanted = solid.edges_of(shape.volume, design.edges)
-    if design.edges == "volume":
-        key = mesh.vertex_count
-        sides = np.sort(np.stack([mesh.face_vertices, mesh.next_vertices], axis=1), axis=1)
-        there = np.isin(sides @ [key, 1], wanted @ [key, 1])
-        mesh = mesh.select_faces(np.bincount(mesh.corner_faces, ~there) == 0)
-    return tubes.tube_graph(mesh, weld, wanted)
+    mesh, sources = followed(shape, design)
+    wanted = None
+    if design.edges != "surface":
+        assert shape.volume is not None
+        wanted = solid.edges_of(shape.volume, design.edges)
+    graph = tubes.tube_graph(stance.apply(mesh), weld, wanted)
+    return replace(graph, face_sources=sources[graph.face_sources])
 
 
 def default_diameter(mesh: PolygonMesh, design: Design) -> float:

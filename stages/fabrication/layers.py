@@ -49,6 +49,7 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
             held = np.bincount(labels[_grown(below)], minlength=parts + 1)
             size = np.bincount(labels.ravel(), minlength=parts + 1)
             loose = (held == 0) & (size >= LEAST_ISLAND)
+            loose[0] = False  # the air
             for part in np.flatnonzero(loose).tolist():
                 row, column = np.nonzero(labels == part)
                 middle = origin + pitch * (np.array([row.mean(), column.mean()]) + 0.5)

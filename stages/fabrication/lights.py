@@ -32,7 +32,7 @@ PRESETS = {
     "puck": Light(68.0, 27.0),
     "e14": Light(45.0, 80.0, hole=29.0, cable=6.0),
     "e27": Light(60.0, 110.0, hole=40.0, cable=6.0),
-    "usb-bulb": Light(45.0, 75.0, cable=5.0),
+    "usb-bulb": Light(45.0, 75.0, hole=32.0, cable=5.0),
     "largest": Light(0.0, 20.0),
 }
 """Free of E14 and E27 holders: 28.5 and 39.5 mm threads with a ring nut. Bulbs: golf ball, A60."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import NumericalFailure
+from ..errors import NumericalFailure, UsageError
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, PolygonMesh
 from . import assembly, base, lamp, lattice, printability
@@ -21,6 +21,9 @@ from .printability import Check
 if TYPE_CHECKING:
     from ..contract import Progress
 
+OVERLAP = 0.5
+"""By which a solid reaches into its pedestal, mm."""
+DRAWN = {"volume": "inner edges of the volume", "both": "edges of the volume"}
 MOST_DROPPED = 1.0
 """Volume in mm^3 that may be lost with parts that hang on nothing."""
 
@@ -88,7 +91,7 @@ def _centre(body: Any) -> Floats:
 
 def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
     """The surface as a solid, or as a shell of ``wall`` mm that is open below."""
-    stance = lamp.stand(shape.polygons, shape.surface, asked)
+    stance = lamp.stand(shape.surface, shape.surface, asked)
     surface = stance.apply(shape.surface)
     checks = []
     if wall is None:
@@ -97,11 +100,21 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
         body, distances = solids.shell(surface, wall)
         checks.append(printability.shell(distances, wall))
     if stance.base != "none":
-        body = body.trim_by_plane((0, 0, 1), stance.lift)
-    made = lamp.bodies(stance, surface, surface, 0.0)
+        # It reaches into a pedestal: what only touches is not one body.
+        body = body.trim_by_plane((0, 0, 1), max(stance.lift - OVERLAP, 0.0))
     if stance.base == "pedestal":
-        body = assembly.union([body, *made.add])
+        body = assembly.union([body, *lamp.bodies(stance, surface, surface, 0.0).add])
     part = _closed(body, "solid", "print them one by one")
+    if part.filled_volume > MOST_DROPPED:
+        if wall is None:
+            raise UsageError(
+                f"--solid: the shape has closed cavities of {part.filled_volume:.0f} mm3, which no "
+                "file for printing keeps apart from the solid; take --lattice --edges both"
+            )
+        raise UsageError(
+            f"--wall {wall:g}: the hollow would be closed all round (nothing comes out of it); "
+            "lower it, or open the shape with --base footprint and a larger --trim"
+        )
     stable, metrics = _standing(body)
     return Product(
         "shell" if wall is not None else "solid",
@@ -117,13 +130,13 @@ def exploded(shape: Shape, asked: Request, factor: float) -> Product:
     assert shape.volume is not None
     vertices, triangles = solids.exploded(shape.volume, factor)
     matrix = lamp.mm_from_input(vertices, asked.up, asked.height, 0.0, 0.0)
-    placed = (vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+    placed = assembly.snapped(vertices @ matrix[:3, :3].T + matrix[:3, 3])
     six = placed[triangles].astype(np.float64)
     volume = float(np.einsum("ij,ij->", six[:, 0], np.cross(six[:, 1], six[:, 2]))) / 6
     cells = int(np.asarray(shape.volume["face_owner"]).max()) + 1
     return Product(
         "cells",
-        Part(placed, triangles, volume, 0, 0, 0.0),
+        Part(placed, triangles, volume, 0, 0, 0.0, 0.0),
         matrix,
         expected_bodies=cells,
         metrics={"cells": cells, "explode": factor, "volume_mm3": volume},
@@ -140,14 +153,15 @@ def tubes_of(
     is not one body.
     """
     # The scale decides the default diameter, which decides how much room tubes take: twice round.
-    first = lamp.stand(shape.polygons, shape.surface, replace(asked, light=None))
-    mesh = lattice.followed(shape, design)
+    mesh, _ = lattice.followed(shape, design)
+    asked = replace(asked, taper=design.taper)
+    first = lamp.stand(mesh, shape.surface, replace(asked, light=None))
     diameter = design.diameter
     if diameter is None:
         diameter = lattice.default_diameter(first.apply(mesh), design)
     design.check(diameter)
     overhang = lattice.enlargement(design) * diameter / 2
-    stance = lamp.stand(shape.polygons, shape.surface, replace(asked, overhang=overhang))
+    stance = lamp.stand(mesh, shape.surface, replace(asked, overhang=overhang))
     lattice.refuse_thick(stance.apply(mesh), overhang, diameter, design)
     surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
     made = lattice.build(shape, stance, design, diameter, random, progress)
@@ -155,6 +169,11 @@ def tubes_of(
     cable = design.cable
     if cable is None:
         cable = asked.light.cable if asked.light is not None else 0.0
+    if stance.cavity is not None and cable > stance.cavity.radius:
+        raise UsageError(
+            f"--cable {cable:g}: wider than half the cavity ({2 * stance.cavity.radius:g} mm) that "
+            "it leads to; lower it"
+        )
     footing = lamp.bodies(stance, surface, polygons, cable)
     body = made.body
     for added in footing.add:
@@ -164,7 +183,7 @@ def tubes_of(
     if stance.base != "none":
         body = body.trim_by_plane((0, 0, 1), 0.0)
     part = _closed(body, "object", _how_to_join(made, design))
-    lid = None if footing.lid is None else assembly.largest(footing.lid)
+    lid = None if footing.lid is None else _closed(footing.lid, "lid", "lower --cable")
     checks, metrics = _measured(made, stance, design, part, _uncut(stance, diameter, cable))
     if stance.base != "none":
         stable, balance = _standing(body)
@@ -173,7 +192,7 @@ def tubes_of(
     graph = made.graph
     metrics |= _facts(part, stance) | {
         "up": asked.up,
-        "drawn": shape.drawn if design.edges == "surface" else f"edges of the {design.edges}",
+        "drawn": DRAWN.get(design.edges, shape.drawn),
         "tube_diameter_mm": diameter,
         "tubes": len(graph.tubes),
         "plates": len(made.chosen),

@@ -106,6 +106,8 @@ def slice_file(
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "out.gcode"
         x, y = room[:2]
+        if float(info.get("size_x", 0)) > x or float(info.get("size_y", 0)) > y:
+            x, y = y, x  # it fits when it is turned, or would have been refused
         said = _run(
             [
                 command, "--export-gcode", "--load", str(PROFILE), "--loglevel", "2",
@@ -115,6 +117,8 @@ def slice_file(
             ],
             name,
         )  # fmt: skip
+        if not target.exists():
+            raise NumericalFailure(f"{name}: the slicer wrote nothing; leave out --slice")
         gcode = target.read_text(encoding="utf-8", errors="replace")
     layers = gcode.count(";LAYER_CHANGE")
     expected = round(height / layer)
@@ -129,11 +133,20 @@ def slice_file(
         found,
         layers,
         expected,
-        float(_footer(gcode, "filament used [mm]") or "nan"),
-        float(_footer(gcode, "filament used [g]") or "nan"),
+        _amount(gcode, "filament used [mm]", name),
+        _amount(gcode, "filament used [g]", name),
         _footer(gcode, "estimated printing time (normal mode)"),
         [line.strip() for line in said.splitlines() if "warning" in line.lower()],
     )
+
+
+def _amount(gcode: str, key: str, name: str) -> float:
+    try:
+        return float(_footer(gcode, key))
+    except ValueError:
+        raise NumericalFailure(
+            f"{name}: the slicer does not say '{key}'; take another version, or leave out --slice"
+        ) from None
 
 
 def _footer(gcode: str, key: str) -> str:

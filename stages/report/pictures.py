@@ -6,7 +6,7 @@ import numpy as np
 
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
-from ..render import image_file, raster
+from ..render import image_file, lit, raster
 from ..sources.resolve import up_axis
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
@@ -91,7 +91,8 @@ def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
     if stored is None:
         return None
     vertices, triangles = printed(folder)
-    view = raster.view("z", AZIMUTH[_up(folder)])
+    # As the path tracer looks at it; whatever was up in the input is z by now.
+    view = raster.view("z", lit.AZIMUTH, lit.ELEVATION)
     day = raster.shaded(vertices, triangles, None, PRINT, view, size, size)
     if any(entry["role"] == "png" for entry in stored["outputs"]):
         night = image_file.read(folder.file("fabricate", "png"))[..., :3] / 255

@@ -63,7 +63,9 @@ def close_up(vertices: Floats, triangles: Ints, spot: Floats, below: bool) -> Fl
     away = spot - middle
     azimuth = float(np.degrees(np.arctan2(away[1], away[0])))
     centres = vertices[triangles].mean(axis=1)
-    near = triangles[(np.abs(centres - spot) < WINDOW).all(axis=1)]
+    away_by = np.abs(centres - spot).max(axis=1)
+    # Where triangles are large, none may have its centre so near.
+    near = triangles[away_by < max(WINDOW, 1.5 * float(away_by.min()))]
     distance = np.linalg.norm(vertices[near].mean(axis=1) - spot, axis=1)
     colours = np.where((distance < max(RADIUS, float(distance.min()) + 0.5))[:, None], SPOT, PRINT)
     used, index = np.unique(near, return_inverse=True)
