@@ -165,6 +165,14 @@ def box(size: tuple[float, float, float], at: tuple[float, float, float]) -> Man
     return Manifold.cube(size).translate(at)
 
 
+def test_the_air_is_no_island() -> None:
+    spread = Manifold.cylinder(30, 5, 60, 64).to_mesh()
+    found = layers.islands(
+        np.array(spread.vert_properties), np.array(spread.tri_verts, np.int64), 0.5, 0.4
+    )
+    assert len(found.areas) == 0
+
+
 def test_islands_and_layers() -> None:
     post, arm = box((10, 10, 40), (0, 0, 0)), box((30, 10, 5), (0, 0, 35))
     tooth = box((4, 3, 20), (25, 3, 18))

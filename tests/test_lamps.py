@@ -252,10 +252,14 @@ def test_sockets_pedestals_and_hanging_lamps(make: Make) -> None:
     found = make("--lamp", "--light", "e14", "--height", 160, "--plate-pattern", "even")
     assert found["light"]["proved_inside"]
     found = make("--lamp", "--base", "pedestal", "--taper", 0.7)
-    assert found["pedestal_mm"] == found["light"]["cup_height_mm"]
+    assert found["base"] == "pedestal"
+    assert found["pedestal_mm"] > found["light"]["cavity_height_mm"]
+    # The tubes are thinner at the top: they reach as high as asked for all the same.
+    assert found["as_written"]["size_mm"][2] == pytest.approx(120, abs=0.3)
     hanging = make("--lamp", "--light", "none", "--base", "none", "--plate-pattern", "checker")
     assert "light" not in hanging
-    assert any(check["name"] == "floating starts" for check in hanging["printability"])
+    verdicts = {check["name"]: check["verdict"] for check in hanging["printability"]}
+    assert verdicts["floating starts"] == "warn"  # the lowest nodes of a ball hang in the air
 
 
 REFUSED = [
@@ -278,6 +282,17 @@ REFUSED = [
     (["--explode", 2], 2, "add --cells"),
     (["--solid", "--wall", 20, "--height", 30], 2, "so deep"),
     (["--formats", "step"], 2, "must be of obj, glb"),
+    (["--lattice", "--merge", 100], 2, "contracts every edge"),
+    (["--lattice", "--trim", 0.2], 2, "--trim: it gets no base"),
+    (["--lattice", "--bayonet"], 2, "--bayonet: there is no light"),
+    (["--lamp", "--base", "none", "--cable", 3], 2, "--cable: there is no light"),
+    (["--lamp", "--light-diameter", 10, "--cable", 12], 2, "wider than half the cavity"),
+    (["--lamp", "--light", "largest", "--base", "pedestal"], 2, "take another --base"),
+    (["--solid", "--fillet"], 2, "--fillet: there are no tubes"),
+    (["--solid", "--wall", 6], 2, "closed all round"),
+    (["--solid", "--wall", 2, "--base", "none"], 2, "closed all round"),
+    (["--layer", 0.5], 2, "higher than the nozzle is wide"),
+    (["--cells", "--explode", 1.001], 2, "at least 1.01"),
 ]
 
 
@@ -298,6 +313,21 @@ def fake_slicer(folder: Path, script: str) -> Path:
     path.write_text(f"#!/bin/sh\n{script}\n")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return path
+
+
+def test_a_solid_on_a_pedestal_is_one_body(make: Make) -> None:
+    found = make("--solid", "--base", "pedestal")
+    assert found["as_written"]["bodies"] == 1
+    assert found["as_written"]["size_mm"][2] == pytest.approx(120, abs=1e-3)
+
+
+def test_files_of_another_object_do_not_stay(make: Make) -> None:
+    folder = make("--lamp", "--bayonet", "--formats", "obj")["folder"]
+    assert (folder / "fabricate.lid.stl").exists()
+    make("--lattice")
+    assert sorted(path.suffix for path in folder.glob("fabricate.*")) == [
+        ".3mf", ".h5", ".json", ".ply", ".stl"
+    ]  # fmt: skip
 
 
 INFO = "manifold = yes\\nnumber_of_parts =  1\\n"

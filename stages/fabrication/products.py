@@ -162,10 +162,6 @@ def tubes_of(
     design.check(diameter)
     overhang = lattice.enlargement(design) * diameter / 2
     stance = lamp.stand(mesh, shape.surface, replace(asked, overhang=overhang))
-    lattice.refuse_thick(stance.apply(mesh), overhang, diameter, design)
-    surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
-    made = lattice.build(shape, stance, design, diameter, random, progress)
-    progress.advance(2, "base")
     cable = design.cable
     if cable is None:
         cable = asked.light.cable if asked.light is not None else 0.0
@@ -174,6 +170,10 @@ def tubes_of(
             f"--cable {cable:g}: wider than half the cavity ({2 * stance.cavity.radius:g} mm) that "
             "it leads to; lower it"
         )
+    lattice.refuse_thick(stance.apply(mesh), overhang, diameter, design)
+    surface, polygons = stance.apply(shape.surface), stance.apply(shape.polygons)
+    made = lattice.build(shape, stance, design, diameter, random, progress)
+    progress.advance(2, "base")
     footing = lamp.bodies(stance, surface, polygons, cable)
     body = made.body
     for added in footing.add:
