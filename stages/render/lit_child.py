@@ -20,7 +20,12 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
     reach = 0.5 * float(np.linalg.norm(high - low))
     turn, rise = np.radians([asked["azimuth"], asked["elevation"]])
     towards = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-    eye = middle + towards * 0.84 * reach / np.sin(np.radians(FIELD_OF_VIEW / 2))
+    # So far away that the corners of its box are in the picture.
+    across = np.cross([0.0, 0.0, 1.0], towards) / np.cos(rise)
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3) - middle
+    beside = np.abs(corners @ np.stack([across, np.cross(towards, across)], axis=1))
+    tangent = 0.98 * np.tan(np.radians(FIELD_OF_VIEW / 2))
+    eye = middle + towards * float((beside.max(axis=1) / tangent + corners @ towards).max())
     found: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 8},
