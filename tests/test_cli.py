@@ -259,7 +259,7 @@ def test_an_input_of_the_same_name_is_another_input(tmp_path: Path, cli: Cli) ->
     assert snapshot(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", ["cube.obj", "cube-cavity"])
+@pytest.mark.parametrize("name", [pytest.param("cube.obj", marks=pytest.mark.slow), "cube-cavity"])
 def test_flat_faces_make_no_trouble(name: str, tmp_path: Path, cli: Cli) -> None:
     # Mirrored in a flat face, voxel centres form a lattice: the worst case for circumcentres.
     if name == "cube.obj":

@@ -227,6 +227,7 @@ def test_a_certified_run_and_its_evaluation(heart_run: Path) -> None:
     assert result(heart_run, "volume")["boundary_faces"] == trained["trained_faces"]
 
 
+@pytest.mark.slow
 def test_turned_and_scaled_meshes_give_the_same_surface(tmp_path: Path, cli: Cli) -> None:
     vertices, triangles = torus_mesh(1.0, 0.45, 40, 20)
     vertices = vertices + [0, 0, 0.05] * np.sin(3 * vertices[:, :1])

@@ -193,6 +193,7 @@ def test_six_views_along_the_axes_and_their_normals_show_hollows(tmp_path: Path)
     assert max(np.percentile(off, 99), np.percentile(missed, 99)) < 0.02
 
 
+@pytest.mark.slow
 def test_a_few_wrong_masks_are_outvoted(torus: Path, tmp_path: Path) -> None:
     import shutil
 
