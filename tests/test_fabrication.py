@@ -165,6 +165,17 @@ def box(size: tuple[float, float, float], at: tuple[float, float, float]) -> Man
     return Manifold.cube(size).translate(at)
 
 
+def test_a_fine_tip_is_no_empty_layer_but_a_gap_is() -> None:
+    tip = Manifold.cylinder(30, 10, 0.01, 32)
+    gap = box((20, 20, 1), (-10, -10, 0)) + box((20, 20, 1), (-10, -10, 3))
+    for body, expected in ((tip, 0), (gap, 4)):
+        mesh = body.to_mesh()
+        found = layers.islands(
+            np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64), 0.5, 0.4
+        )
+        assert found.empty_layers == expected
+
+
 def test_the_air_is_no_island() -> None:
     spread = Manifold.cylinder(30, 5, 60, 64).to_mesh()
     found = layers.islands(

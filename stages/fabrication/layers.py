@@ -37,13 +37,16 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
     touch = np.ones((3, 3), bool)
     below: NDArray[np.bool_] | None = None
     places, areas = [], []
-    count = empty = 0
+    count = empty = filled = 0
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     pitch = max(nozzle, float((high - low)[:2].max()) / MOST_CELLS)
     heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
     for z, mask, origin in sections(vertices, triangles, heights, pitch):
         count += 1
-        empty += not mask.any()
+        # A tip may end between two points: what is empty above everything is not a gap.
+        if mask.any():
+            filled += 1
+            empty = count - filled
         labels, parts = ndimage.label(mask, touch)
         if below is not None and parts:
             held = np.bincount(labels[_grown(below)], minlength=parts + 1)
