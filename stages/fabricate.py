@@ -8,7 +8,7 @@ Example:
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -141,6 +141,7 @@ class Params(contract.Params):
 
     def _check_combinations(self) -> None:
         """Options that would be ignored are refused."""
+        defaults = {field.name: field.default for field in fields(self)}
         lit = self.mode in ("lamp", "cells") and self.explode == 1
         for here, why, names in (
             (
@@ -159,10 +160,7 @@ class Params(contract.Params):
             (self.light != "largest", "the largest is looked for", ("light_diameter",)),
         ):
             for name in names:
-                if (
-                    not here
-                    and getattr(self, name) != type(self).__dataclass_fields__[name].default
-                ):
+                if not here and getattr(self, name) != defaults[name]:
                     raise UsageError(f"--{name.replace('_', '-')}: {why}; leave it out")
         if self.light == "largest" and self.base == "pedestal":
             raise UsageError("--light largest: is looked for in the shape; take another --base")

@@ -228,6 +228,8 @@ def test_solids_and_shells(make: Make) -> None:
     assert checks["shell"]["value"] >= 2.0
     mesh = trimesh.load_mesh(found["folder"] / "fabricate.stl")
     assert mesh.euler_number == 2  # open below: one surface, in and out
+    found = make("--solid", "--base", "pedestal")["as_written"]
+    assert (found["bodies"], found["size_mm"][2]) == (1, pytest.approx(120, abs=1e-3))
 
 
 def test_cells_as_tubes_and_apart(make: Make) -> None:
@@ -315,12 +317,6 @@ def fake_slicer(folder: Path, script: str) -> Path:
     return path
 
 
-def test_a_solid_on_a_pedestal_is_one_body(make: Make) -> None:
-    found = make("--solid", "--base", "pedestal")
-    assert found["as_written"]["bodies"] == 1
-    assert found["as_written"]["size_mm"][2] == pytest.approx(120, abs=1e-3)
-
-
 def test_files_of_another_object_do_not_stay(make: Make) -> None:
     folder = make("--lamp", "--bayonet", "--formats", "obj")["folder"]
     assert (folder / "fabricate.lid.stl").exists()
@@ -336,6 +332,7 @@ SLICERS = [
     (f"printf '{INFO}open_edges = 4\\n'", "has to mend it (open_edges)"),
     ("printf 'manifold = no\\nnumber_of_parts = 1\\n'", "not manifold"),
     ("printf 'manifold = yes\\nnumber_of_parts = 2\\n'", "2 parts instead of 1"),
+    (f"printf '{INFO}'", "the slicer wrote nothing"),
     (
         f"""case "$1" in --info) printf '{INFO}';; *) for last; do
         case "$before" in -o) echo ';LAYER_CHANGE' > "$last";; esac; before=$last; done;; esac""",

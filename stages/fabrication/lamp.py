@@ -87,28 +87,18 @@ def _placed(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stan
     rooms lie inside the shape is then proved with exact bodies.
     """
 
-    def matrix(trim: float, lift: float = 0.0) -> Floats:
-        return mm_from_input(
-            polygons.vertices,
-            asked.up,
-            asked.height - lift,
-            trim,
-            asked.overhang,
-            lift,
-            asked.taper,
-        )
-
     trims = TRIMS if asked.trim is None else (asked.trim,)
     if asked.base == "none" or asked.light is None:
         trim = 0.0 if asked.base == "none" else trims[0]
         kind = "footprint" if asked.base == "auto" else asked.base
         lift = base.FOOT if kind == "pedestal" else 0.0
-        return Stance(matrix(trim, lift), trim, lift, kind, None, None, None)
+        return Stance(_matrix(polygons, asked, trim, lift), trim, lift, kind, None, None, None)
     cavity = lights.cavity(asked.light, asked.clearance, asked.wall, asked.lid)
     widest = -np.inf
     if asked.base != "pedestal":
         for trim in trims:
-            stance = Stance(matrix(trim), trim, 0.0, "footprint", cavity, None, None)
+            matrix = _matrix(polygons, asked, trim, 0.0)
+            stance = Stance(matrix, trim, 0.0, "footprint", cavity, None, None)
             found, diameter = _inside(stance, surface, asked)
             widest = max(widest, diameter)
             if found is not None:
@@ -131,15 +121,7 @@ def _on_pedestal(
                 f"--light {asked.preset}: its pedestal would be {lift:.0f} of {asked.height:g} mm "
                 "high; raise --height or take a smaller light"
             )
-        matrix = mm_from_input(
-            polygons.vertices,
-            asked.up,
-            asked.height - lift,
-            trim,
-            asked.overhang,
-            lift,
-            asked.taper,
-        )
+        matrix = _matrix(polygons, asked, trim, lift)
         stance = Stance(matrix, trim, lift, "pedestal", cavity, None, room)
         placed = stance.apply(surface)
         solid = base.solid_of(placed)
@@ -207,6 +189,13 @@ def centre_of_edges(polygons: PolygonMesh, low: float) -> Floats:
     middle = ends.mean(axis=1)
     weight = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) * (middle[:, 2] > low)
     return np.asarray(weight @ middle / max(float(weight.sum()), 1e-300))
+
+
+def _matrix(polygons: PolygonMesh, asked: Request, trim: float, lift: float) -> Floats:
+    height = asked.height - lift
+    return mm_from_input(
+        polygons.vertices, asked.up, height, trim, asked.overhang, lift, asked.taper
+    )
 
 
 def mm_from_input(
