@@ -8,37 +8,48 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from . import contract
 from .contract import Context, Outcome, Range, Stage
+from .errors import InputError
 from .memory import peak
 
 if TYPE_CHECKING:
     from .surface.polygons import Floats, Ints, PolygonMesh
+
+OTHER_UNITS, OTHER_SIZE = 5.0, 1.25
+"""How many times as large a surface may be as its reference: beyond the one they are not
+comparable, beyond the other they may not be meant to be."""
 
 
 @dataclass(frozen=True)
 class Params(contract.Params):
     """Options of the evaluate stage."""
 
-    of: Literal["init", "sphere-train", "volume"] = "sphere-train"
+    of: Literal["init", "sphere-train", "volume", "baseline"] = "sphere-train"
     """The stage whose surface is measured."""
+    surface: str | None = None
+    """A mesh file to measure in place of a stage's surface, in the input's coordinates."""
     reference: str | None = None
     """A mesh file or built-in field to compare with; default: the input of the run."""
-    samples: Annotated[int, Range(1000, 10_000_000)] = 50_000
-    """Points on each surface."""
-    threshold: Annotated[float, Range(1e-6, 1)] = 0.01
-    """Distance for F1, with the reference's bounding-box diagonal as 1."""
+    protocol: Literal["vorolight", "voromesh"] = "vorolight"
+    """Whose samples and threshold: 50,000 and 0.01, or 100,000 and 0.003."""
+    samples: Annotated[int, Range(1000, 10_000_000)] | None = None
+    """Points on each surface; default: the protocol's."""
+    threshold: Annotated[float, Range(1e-6, 1)] | None = None
+    """Distance for F1, with the reference's bounding-box diagonal as 1; default: the protocol's."""
 
 
 def run(context: Context) -> Outcome:
-    """The paper's appendix B under the protocol ``vorolight``: the reference's diagonal is 1."""
+    """The paper's appendix B, and beside it what does not depend on samples."""
     import numpy as np
 
     from .export import ply
-    from .metrics import chamfer, curvature
+    from .metrics import chamfer, curvature, gates
     from .metrics.fidelity import fidelity
+    from .metrics.protocols import PROTOCOLS
     from .sources.fields import FieldSource
     from .sources.mesh import MeshSource
     from .sources.resolve import identify
@@ -49,17 +60,17 @@ def run(context: Context) -> Outcome:
     from .surface.topology import topology
 
     params, threads = context.params, context.threads
-    mesh = _surface(context, params.of)
+    of = f"file {Path(params.surface).name}" if params.surface else params.of
+    mesh = _surface(context)
     source: Any = (
         context.source() if params.reference is None else identify(params.reference).open()
     )
-    context.progress.start("evaluate", 4)
+    protocol = PROTOCOLS[params.protocol].changed(params.samples, params.threshold)
+    samples, random = protocol["samples"], context.random
+    context.progress.start("evaluate", 5)
     vertices, triangles, _ = geometry.fan_triangles(mesh)
-    random = context.random
-    predicted, _ = geometry.sample_triangles(
-        vertices, triangles, params.samples, random("predicted")
-    )
-    reference = source.surface_samples(params.samples, random("reference"))
+    predicted, _ = geometry.sample_triangles(vertices, triangles, samples, random("predicted"))
+    reference = source.surface_samples(samples, random("reference"))
     field = source if isinstance(source, FieldSource) else None
     area = float(geometry.triangle_areas(vertices, triangles).sum())
     if field is None:
@@ -68,11 +79,13 @@ def run(context: Context) -> Outcome:
     else:  # a field's box is what is searched, not the shape's; its area is not known
         low, high = reference.min(axis=0), reference.max(axis=0)
         true_area = area
+    name = params.reference or source.name
+    warnings = _comparable(name, source, mesh.vertices[mesh.face_vertices], np.stack([low, high]))
     diagonal = float(np.linalg.norm(high - low))
     distances = chamfer.chamfer(
         predicted / diagonal,
         reference / diagonal,
-        params.threshold,
+        protocol["threshold"],
         true_area / diagonal**2,
         threads,
     )
@@ -84,34 +97,38 @@ def run(context: Context) -> Outcome:
         triangles,
         truth,
         (placed, truth.closest(placed)[1]),
-        params.samples,
+        samples,
         random("fidelity"),
         threads,
     ).scaled(frame.spacing / diagonal)
     context.progress.advance(1)
-    spacing = float(context.arrays("classify")["spacing"])
-    radius = 2.0 * source.median_edge_length() if isinstance(source, MeshSource) else spacing
+    edge = source.median_edge_length() if isinstance(source, MeshSource) else frame.spacing / 2
+    radius = curvature.REACH * edge
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, threads)
     bent = curvature.statistics(vertices, triangles, radius, measured, valid)
     context.progress.advance(2)
-    facts = topology(mesh)
-    volume = geometry.enclosed_volume(vertices, triangles)
+    even = curvature.resampled(vertices, triangles, edge, threads)
+    if even is None:
+        warnings.append(
+            f"|H| of the surface divided to the reference's edges ({edge:.3g}) was not measured: "
+            f"that takes more than {curvature.MOST_VERTICES:,} vertices"
+        )
+    context.progress.advance(3)
+    facts, defects = topology(mesh), gates.defects(mesh)
+    expected = source.topology()
     metrics: dict[str, Any] = {
-        "of": params.of,
-        "protocol": {
-            "name": "vorolight",
-            "samples": params.samples,
-            "threshold": params.threshold,
-            "frame": "bounding-box diagonal of the reference = 1",
-            "diagonal": diagonal,
-            "reference": source.name,
-        },
+        "of": of,
+        "protocol": protocol | {"diagonal": diagonal, "reference": source.name},
+        "curvature_settings": curvature.settings(edge, isinstance(source, MeshSource)),
         "topology": vars(facts),
+        "expected_topology": expected
+        and dict(zip(("euler_number", "components"), expected, strict=True)),
         "area": area,
-        "volume": volume,
+        "volume": geometry.enclosed_volume(vertices, triangles),
         "chamfer": vars(distances),
         "fidelity": vars(close),
         "curvature": None if bent is None else vars(bent),
+        "resampled_curvature": None if even is None else vars(even),
         "dihedral_mean_curvature": curvature.dihedral_mean_curvature(mesh),
         "reference_dihedral": None
         if not isinstance(source, MeshSource)
@@ -121,36 +138,75 @@ def run(context: Context) -> Outcome:
         "reference_curvature": _reference_curvature(source, reference, radius, threads),
         "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
         "mask_overlap": _mask_overlap(context, vertices, triangles),
-        "gates": {
-            "closed": facts.closed,
-            "vertices_manifold": facts.pinched_vertices == 0,
-            "outward": volume > 0,
-            "self_intersection": "not run",
-        },
+        "gates": gates.gates(mesh, defects, expected),
+        "defects": defects.named(),
     }
-    context.progress.advance(3)
-    if params.of != "init":
-        metrics |= _trained(context, radius, field)
-        if metrics["certificate"]["holds"]:
-            metrics["gates"]["self_intersection"] = "excluded by the certificate"
+    context.progress.advance(4)
+    if params.surface is None and params.of in ("sphere-train", "volume"):
+        metrics |= _trained(context, samples, radius, field)
         claimed = (context.folder.manifest("sphere-train") or {})["metrics"]["certificate"]["holds"]
-        if claimed:
-            metrics["gates"]["certificate"] = metrics["certificate"]["holds"]
-    distance = chamfer.nearest(mesh.vertices, reference, threads)
+        metrics["gates"]["certificate"] = (
+            metrics["certificate"]["holds"] if claimed else "not claimed by the training"
+        )
+    at = frame.model_from_input(mesh.vertices)
+    distance = frame.spacing * np.linalg.norm(at - truth.closest(at)[0], axis=1)
     bend = np.where(valid, np.abs(measured), np.nan)[: mesh.vertex_count]
+    files = {
+        "ply": ply.encode(
+            mesh, {"distance": distance, "mean_curvature": np.nan_to_num(bend, nan=-1.0)}
+        )
+    }
+    if defects.count:
+        files["defects.ply"] = ply.encode(*defects.mesh(mesh))
     return Outcome(
         arrays={
             **mesh.as_arrays("surface/"),
             "vertex_distance": distance,
             "mean_curvature": bend,
         },
-        files={
-            "ply": ply.encode(
-                mesh, {"distance": distance, "mean_curvature": np.nan_to_num(bend, nan=-1.0)}
-            )
-        },
+        files=files,
         metrics=metrics,
+        warnings=warnings,
     )
+
+
+def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[str]:
+    """What makes a comparison of a surface, with those ``corners``, to a reference doubtful.
+
+    Raises InputError when there is nothing to compare.
+    """
+    import numpy as np
+
+    own = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    larger = float(np.linalg.norm(own[1] - own[0]) / np.linalg.norm(box[1] - box[0]))
+    if larger > OTHER_UNITS or larger < 1 / OTHER_UNITS:
+        raise InputError(
+            f"{name}: the surface is {larger:.4g} times as large as this reference, which is in "
+            "other units; scale one of them"
+        )
+    if (own[0] > box[1]).any() or (own[1] < box[0]).any():
+        raise InputError(
+            f"{name}: the boxes of this reference, {_box(box)}, and of the surface, {_box(own)}, "
+            "do not overlap; move one of them"
+        )
+    warnings = []
+    if larger > OTHER_SIZE or larger < 1 / OTHER_SIZE:
+        warnings.append(
+            f"the surface is {larger:.3g} times as large as the reference {name}: is it the same "
+            "shape, whole and in the same units?"
+        )
+    holes = getattr(source, "open_edges", 0)
+    if holes:
+        warnings.append(
+            f"the reference {name} has holes ({holes} edges in one triangle only): no samples of "
+            "it are there, so the surface that closes them counts as wrong in CD^2 and F1, and its "
+            "Euler number has nothing to be compared with"
+        )
+    return warnings
+
+
+def _box(box: Floats) -> str:
+    return " to ".join("(" + ", ".join(f"{x:.4g}" for x in corner) + ")" for corner in box)
 
 
 def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[str, Any] | None:
@@ -167,12 +223,18 @@ def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[s
     return {"mean": float(found.mean()), "worst": float(found.min())}
 
 
-def _surface(context: Context, of: str) -> PolygonMesh:
+def _surface(context: Context) -> PolygonMesh:
+    """What is measured. Raises InputError for a file without a surface."""
     from .surface.polygons import PolygonMesh
 
-    arrays = context.arrays(of)
-    mesh = PolygonMesh.from_arrays(arrays, "" if of == "volume" else "surface/")
-    if of == "volume":
+    params = context.params
+    if params.surface is not None:
+        from .sources.mesh_file import load
+
+        return load(Path(params.surface)).polygons
+    arrays = context.arrays(params.of)
+    mesh = PolygonMesh.from_arrays(arrays, "" if params.of == "volume" else "surface/")
+    if params.of == "volume":
         mesh = mesh.select_faces(arrays["face_neighbour"] < 0).without_unused_vertices()
     return mesh
 
@@ -197,7 +259,7 @@ def _reference_curvature(source: Any, samples: Any, radius: float, threads: int)
     return None if found is None else vars(found) | {"method": "quadric fit"}
 
 
-def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
+def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[str, Any]:
     """The trained polygons' own figures, and conformity recomputed from the files."""
     import numpy as np
 
@@ -219,7 +281,7 @@ def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
     loss = None
     if field is not None:
         points, _ = geometry.sample_triangles(
-            vertices, triangles, context.params.samples, context.random("trained")
+            vertices, triangles, samples, context.random("trained")
         )
         loss = float(np.abs(field.value(points)).mean())
     count = mesh.face_count
@@ -256,35 +318,45 @@ def _trained(context: Context, radius: float, field: Any) -> dict[str, Any]:
     }
 
 
-def failed_gates(metrics: dict[str, Any]) -> list[str]:
-    """Gates of an evaluation that did not hold; gates that were not run do not count as held."""
-    return [name for name, held in metrics["gates"].items() if held is False]
-
-
 def _extra(params: Params) -> dict[str, str]:
-    return {} if params.reference is None else {"reference": params.reference}
+    given = {"surface": params.surface, "reference": params.reference}
+    return {role: text for role, text in given.items() if text is not None}
+
+
+def _parents(params: Params) -> tuple[str, ...]:
+    if params.surface is not None:
+        return ("classify",)
+    trained = () if params.of in ("init", "baseline") else ("sphere-train",)
+    return tuple(dict.fromkeys(("classify", *trained, params.of)))
+
+
+def _stem(params: Params) -> str:
+    return f"evaluate-{'file-' + Path(params.surface).stem if params.surface else params.of}"
 
 
 def _memory(context: Context) -> float:
+    from .metrics.protocols import PROTOCOLS
+
     params = context.params
-    # The volume's surface is the trained one's.
-    of = "init" if params.of == "init" else "sphere-train"
-    corners = len(context.arrays(of)["surface/face_vertices"])
-    return peak(350.0, 210.0 + 1e-4 * params.samples, 6.0, corners)
+    samples = params.samples or PROTOCOLS[params.protocol].samples
+    if params.surface is not None:
+        path = Path(params.surface)
+        corners = path.stat().st_size // 8 if path.is_file() else 0
+    else:
+        # The volume's surface is the trained one's.
+        of = "sphere-train" if params.of == "volume" else params.of
+        corners = len(context.arrays(of)["surface/face_vertices"])
+    return peak(350.0, 210.0 + 1e-4 * samples, 6.0, corners)
 
 
 STAGE = Stage(
     name="evaluate",
-    version=3,
+    version=4,
     params=Params,
     run=run,
-    parents=lambda params: (
-        tuple(dict.fromkeys(("classify", "sphere-train", params.of)))
-        if params.of != "init"
-        else ("classify", "init")
-    ),
+    parents=_parents,
     reads_input=True,
-    stem=lambda params: f"evaluate-{params.of}",
+    stem=_stem,
     extra_inputs=_extra,
     memory=_memory,
 )

@@ -18,11 +18,12 @@ from vorolight.stages import pipeline, standing
 from vorolight.stages.artifacts import lock
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
-from vorolight.stages.errors import GateFailure, UsageError, VorolightError
+from vorolight.stages.errors import UsageError, VorolightError
 
 from . import summary
 from .console import Console, table
 from .export import export
+from .gating import gating
 from .parameters import Function, add_options, build, parameter_names
 from .session import (
     Common,
@@ -58,7 +59,12 @@ EXAMPLES = {
     "shade": "vorolight shade --render orbit",
     "evaluate": "vorolight evaluate --of init --reference bunny.obj",
     "fabricate": "vorolight fabricate --lamp --height 120",
+    "baseline": "vorolight baseline voromesh bunny.obj -n 25",
 }
+
+
+FIRST = ("init", "baseline")
+"""The stages that take an INPUT: they bring classify up to date first."""
 
 
 def _taken(template: Function, given: dict[str, Any]) -> Any:
@@ -72,14 +78,6 @@ def _until(
     if until not in standing.ORDER:
         raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
     return until
-
-
-def _strict(
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 5 if a gate does not hold.")
-    ] = False,
-) -> bool:
-    return strict
 
 
 def _preview(
@@ -141,21 +139,21 @@ def _execute(common: Common, name: str, params: Any) -> bool:
 
 def _stage_command(name: str) -> None:
     stage = standing.get(name)
-    served = [standing.get("classify"), stage] if name == "init" else [stage]
-    own: dict[str, list[Function]] = {"evaluate": [_strict], "classify": [_preview]}
+    served = [standing.get("classify"), stage] if name in FIRST else [stage]
+    own: dict[str, list[Function]] = {"evaluate": [gating], "classify": [_preview]}
     templates = [common_options, *own.get(name, [])]
 
     def command(**given: Any) -> None:
         names = parameter_names(served)
-        strict = name == "evaluate" and _taken(_strict, given)
+        insisted = _taken(gating, given) if name == "evaluate" else None
         preview = name == "classify" and _taken(_preview, given)
         common = _taken(common_options, given)
         params = build(stage, given, common.config, names[name])
-        if name == "init" and _classify_first(common, given, names["classify"]):
+        if name in FIRST and _classify_first(name, common, given, names["classify"]):
             return
         _execute(common, name, params)
-        if strict and not common.dry_run:
-            _gates(common.session, params)
+        if insisted and not common.dry_run:
+            insisted.check(common.session.folder, stage.stem_of(params))
         if preview and not common.dry_run:
             _draw(common)
 
@@ -180,15 +178,6 @@ def _help(stage: Stage) -> str:
     return f"{about[0].upper()}{about[1:]}\n\nExample: {EXAMPLES[stage.name]}"
 
 
-def _gates(session: standing.Session, params: Any) -> None:
-    from vorolight.stages.evaluate import STAGE, failed_gates
-
-    stored = session.folder.manifest(STAGE.stem_of(params)) or {}
-    failed = failed_gates(stored["metrics"])
-    if failed:
-        raise GateFailure(f"{session.folder.path}: the {params.of} surface is not {failed[0]}")
-
-
 def _draw(common: Common) -> None:
     from vorolight.stages.report import preview
 
@@ -199,9 +188,11 @@ def _draw(common: Common) -> None:
         common.console.say(f"preview: {preview.write(folder, opened)}")
 
 
-def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]) -> bool:
+def _classify_first(
+    name: str, common: Common, given: dict[str, Any], names: dict[str, str]
+) -> bool:
     """Bring classify up to date; what is not said again stays as recorded. True after a dry run
-    in which classify would run, and init therefore too."""
+    in which classify would run, and stage ``name`` therefore too."""
     session = common.session
     stage = standing.get("classify")
     stored = session.folder.manifest("classify")
@@ -212,8 +203,8 @@ def _classify_first(common: Common, given: dict[str, Any], names: dict[str, str]
     unforced = replace(common, session=replace(session, force=False, seed=seed))
     ran = _execute(unforced, "classify", params)
     if common.dry_run and ran:
-        common.console.say("init: would run (classify changed)")
-        common.console.data({"stage": "init", "would_run": True, "reason": "classify changed"})
+        common.console.say(f"{name}: would run (classify changed)")
+        common.console.data({"stage": name, "would_run": True, "reason": "classify changed"})
         return True
     return False
 
@@ -354,7 +345,7 @@ def top(
 
 
 def _build() -> None:
-    for name in standing.ORDER:
+    for name in standing.ALL:
         _stage_command(name)
     _run_command()
 

@@ -64,6 +64,10 @@ def of(manifest: dict[str, Any], console: Console) -> str:
         ),
         "evaluate": lambda: f"surface of {metrics['of']}",
         "fabricate": lambda: _object(metrics),
+        "baseline": lambda: (
+            f"{metrics['method']}, {metrics['generators']} generators, "
+            f"{_surface(metrics['topology'])}"
+        ),
     }[stage]()
     line = f"{console.strong(stage)}: {text} ({seconds})"
     return line if stage != "evaluate" else f"{line}\n{evaluation_table(metrics)}"
@@ -73,7 +77,7 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     """Name, value and reference of every figure of an evaluation."""
     distances, truth = metrics["chamfer"], metrics["reference_curvature"] or {}
     bent, close = metrics["curvature"] or {}, metrics["fidelity"]
-    topology = metrics["topology"]
+    topology, expected = metrics["topology"], metrics["expected_topology"] or {}
     rows: list[tuple[str, ...]] = [
         ("figure", "surface", "reference"),
         ("CD^2 x 1e3", _number(distances["cd2"] * 1e3),
@@ -88,6 +92,9 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
                       ("p95", "P95 |H|"), ("valid_share", "valid share of |H|")):  # fmt: skip
         shown = "" if truth.get(key) is None else _number(truth[key])
         rows.append((name, _number(bent.get(key)), shown))
+    even = metrics["resampled_curvature"] or {}
+    for key, name in (("mean", "mean"), ("p95", "P95")):
+        rows.append((f"{name} |H|, evenly resampled", _number(even.get(key)), ""))
     if metrics["sdf_loss"] is not None:
         rows.append(("mean |F|", _number(metrics["sdf_loss"]), "0"))
     if metrics["mask_overlap"] is not None:
@@ -96,12 +103,14 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
         rows.append(("overlap with masks, worst", _number(overlap["worst"]), "1"))
     rows += [
         ("faces", str(topology["faces"]), ""),
-        ("Euler number", str(topology["euler_number"]), ""),
-        ("components", str(topology["components"]), ""),
-        ("edges not in two faces", str(topology["bad_edges"]), "0"),
-        ("pinched vertices", str(topology["pinched_vertices"]), "0"),
-        ("self-intersection", str(metrics["gates"]["self_intersection"]), ""),
+        ("Euler number", str(topology["euler_number"]), str(expected.get("euler_number", ""))),
+        ("components", str(topology["components"]), str(expected.get("components", ""))),
     ]
+    for gate, held in metrics["gates"].items():
+        if gate == "certificate":  # said below with what it says
+            continue
+        words = held if isinstance(held, str) else "yes" if held else "no"
+        rows.append((gate.replace("_", " "), words, ""))
     if "conformity" in metrics:
         conformity, trained = metrics["conformity"], metrics["trained"]
         faces = f"{conformity['interface_faces']} / {conformity['trained_faces']}"
@@ -122,9 +131,12 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def evaluation_table(metrics: dict[str, Any]) -> str:
-    protocol = metrics["protocol"]
-    frame = (
-        f"protocol {protocol['name']}: {protocol['samples']} samples, {protocol['frame']} "
-        f"({protocol['diagonal']:.4g})"
+    protocol, fits = metrics["protocol"], metrics["curvature_settings"]
+    changed = f" (changed: {', '.join(protocol['changed'])})" if protocol["changed"] else ""
+    return (
+        f"{table(evaluation_rows(metrics))}\n"
+        f"protocol {protocol['name']}{changed}: {protocol['samples']} samples, F1 at "
+        f"{protocol['threshold']:g}, {protocol['frame']} ({protocol['diagonal']:.4g}); |H| by "
+        f"fits of radius {fits['radius']:.4g}, twice the {fits['h_ref_is']}, at least "
+        f"{fits['minimum_neighbours']} neighbours, condition at most {fits['condition_limit']:g}"
     )
-    return f"{table(evaluation_rows(metrics))}\n{frame}"

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiled import compiled
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.subdivision import subdivided
 from ..surface.topology import edge_keys
 
+REACH = 2.0
+"""The paper's rho: the radius of a fit in units of the reference's median edge length."""
 MINIMUM_NEIGHBOURS = 8
 CONDITION_LIMIT = 1e8
 """Of the 6 x 6 normal matrix in coordinates divided by the radius; the paper gives no number."""
-PAIRS_AT_ONCE = 4_000_000
 MOST_NEIGHBOURS = 2000
 """More neighbours than this say that the radius does not fit the surface; no fit is made."""
+MOST_VERTICES = 600_000
+"""Of a surface divided to the edge length of its reference."""
 
 
 @dataclass(frozen=True)
@@ -39,55 +45,89 @@ def mean_curvature(
     A vertex is not its own neighbour. Returns H and which vertices have a trustworthy fit: from 8
     to MOST_NEIGHBOURS neighbours and a condition number below CONDITION_LIMIT.
     """
-    from scipy.spatial import cKDTree
-
     normals = geometry.vertex_normals(vertices, triangles)
     helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     tangent1 = np.cross(normals, helper)
     tangent1 /= np.maximum(np.linalg.norm(tangent1, axis=1, keepdims=True), 1e-300)
     tangent2 = np.cross(normals, tangent1)
-    tree = cKDTree(vertices)
+    frames = np.stack([tangent1, tangent2, normals], axis=1)
     curvature = np.zeros(len(vertices))
     valid = np.zeros(len(vertices), dtype=bool)
-    expected = tree.query_ball_point(vertices, radius, workers=threads, return_length=True)
-    fitted = np.flatnonzero(expected <= MOST_NEIGHBOURS + 1)
-    batch = np.cumsum(expected[fitted]) // PAIRS_AT_ONCE
-    for number in np.unique(batch):
-        rows = fitted[batch == number]
-        found = tree.query_ball_point(vertices[rows], radius, workers=threads)
-        count = np.fromiter((len(row) for row in found), np.int64, len(found))
-        other = np.concatenate([np.asarray(row, np.int64) for row in found])
-        owner = np.repeat(np.arange(len(rows)), count)
-        apart = other != rows[owner]
-        owner, other = owner[apart], other[apart]
-        arm = (vertices[other] - vertices[rows[owner]]) / radius
-        x, y, z = (
-            np.einsum("ij,ij->i", arm, frame[rows[owner]])
-            for frame in (tangent1, tangent2, normals)
+    # In units of the radius, sorted by cells of that edge, those along z next to each other.
+    placed = (vertices - vertices.min(axis=0)) / radius
+    cell = np.floor(placed).astype(np.int64) + 1
+    shape = cell.max(axis=0) + 2
+    key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+    order = np.argsort(key, kind="stable")
+    sorted_key, sorted_place = key[order], np.ascontiguousarray(placed[order])
+
+    def part(rows: Ints) -> tuple[Floats, Floats, Ints]:
+        return _normal_equations(
+            rows, placed, frames, key, shape, sorted_key, sorted_place, order, MOST_NEIGHBOURS
         )
-        weight = np.exp(-(x * x + y * y + z * z) / 2)
-        basis = np.stack([x * x, x * y, y * y, x, y, np.ones_like(x)], axis=1)
-        sizes = np.bincount(owner, minlength=len(rows))
-        matrix = np.zeros((len(rows), 6, 6))
-        right = np.zeros((len(rows), 6))
-        for i in range(6):
-            right[:, i] = np.bincount(owner, weight * basis[:, i] * z, minlength=len(rows))
-            for j in range(i, 6):
-                matrix[:, i, j] = np.bincount(
-                    owner, weight * basis[:, i] * basis[:, j], minlength=len(rows)
-                )
-                matrix[:, j, i] = matrix[:, i, j]
-        values = np.linalg.eigvalsh(matrix)
-        good = (sizes >= MINIMUM_NEIGHBOURS) & (values[:, 0] * CONDITION_LIMIT > values[:, -1])
-        fit = np.zeros((len(rows), 6))
-        fit[good] = np.linalg.solve(matrix[good], right[good, :, None])[..., 0]
-        a, b, c, fx, fy, _ = fit.T
-        fxx, fxy, fyy = 2 * a, b, 2 * c
-        slope = 1 + fx**2 + fy**2
-        upper = (1 + fy**2) * fxx - 2 * fx * fy * fxy + (1 + fx**2) * fyy
-        curvature[rows] = upper / (2 * slope**1.5) / radius
-        valid[rows] = good
+
+    parts = np.array_split(np.arange(len(vertices)), max(1, threads))
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        found = list(pool.map(part, parts))
+    matrix, right, sizes = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    values = np.linalg.eigvalsh(matrix)
+    good = (sizes >= MINIMUM_NEIGHBOURS) & (sizes <= MOST_NEIGHBOURS)
+    good &= values[:, 0] * CONDITION_LIMIT > values[:, -1]
+    a, b, c, fx, fy, _ = np.linalg.solve(matrix[good], right[good, :, None])[..., 0].T
+    fxx, fxy, fyy = 2 * a, b, 2 * c
+    slope = 1 + fx**2 + fy**2
+    upper = (1 + fy**2) * fxx - 2 * fx * fy * fxy + (1 + fx**2) * fyy
+    curvature[good] = upper / (2 * slope**1.5) / radius
+    valid[good] = True
     return curvature, valid
+
+
+@compiled
+def _normal_equations(
+    rows: Ints,
+    placed: Floats,
+    frames: Floats,
+    key: Ints,
+    shape: Ints,
+    sorted_key: Ints,
+    sorted_place: Floats,
+    order: Ints,
+    most: int,
+) -> tuple[Floats, Floats, Ints]:
+    """Matrices ``(R, 6, 6)`` and right sides ``(R, 6)`` of the fits at vertices ``rows (R,)``, and
+    how many neighbours each has; ``most`` + 1 where there are more."""
+    matrix = np.zeros((len(rows), 6, 6))
+    right = np.zeros((len(rows), 6))
+    sizes = np.zeros(len(rows), np.int64)
+    basis = np.ones(6)
+    for row in range(len(rows)):
+        v = rows[row]
+        for near in range(9):
+            middle = key[v] + ((near // 3 - 1) * shape[1] + near % 3 - 1) * shape[2]
+            start = np.searchsorted(sorted_key, middle - 1)
+            while start < len(sorted_key) and sorted_key[start] <= middle + 1:
+                dx = sorted_place[start, 0] - placed[v, 0]
+                dy = sorted_place[start, 1] - placed[v, 1]
+                dz = sorted_place[start, 2] - placed[v, 2]
+                square = dx * dx + dy * dy + dz * dz
+                start += 1
+                if square > 1.0 or order[start - 1] == v:
+                    continue
+                sizes[row] += 1
+                if sizes[row] > most:
+                    break
+                x = frames[v, 0, 0] * dx + frames[v, 0, 1] * dy + frames[v, 0, 2] * dz
+                y = frames[v, 1, 0] * dx + frames[v, 1, 1] * dy + frames[v, 1, 2] * dz
+                z = frames[v, 2, 0] * dx + frames[v, 2, 1] * dy + frames[v, 2, 2] * dz
+                weight = np.exp(-square / 2)
+                basis[0], basis[1], basis[2], basis[3], basis[4] = x * x, x * y, y * y, x, y
+                for i in range(6):
+                    right[row, i] += weight * basis[i] * z
+                    for j in range(6):
+                        matrix[row, i, j] += weight * basis[i] * basis[j]
+            if sizes[row] > most:
+                break
+    return matrix, right, sizes
 
 
 def statistics(
@@ -116,6 +156,33 @@ def statistics(
         p95=float(np.percentile(size, 95)),
         valid_share=float(valid.sum() / used.sum()),
     )
+
+
+def resampled(
+    vertices: Floats, triangles: Ints, edge: float, threads: int = 1
+) -> CurvatureStatistics | None:
+    """|H| of the surface divided until no edge is longer than ``edge``, so that every vertex has
+    neighbours within REACH edges: the figure of the paper depends on how dense a mesh is.
+
+    None when that takes more than MOST_VERTICES, or without a valid fit.
+    """
+    fine = subdivided(vertices, triangles, edge, MOST_VERTICES)
+    if fine is None:
+        return None
+    radius = REACH * edge
+    return statistics(*fine, radius, *mean_curvature(*fine, radius, threads))
+
+
+def settings(edge: float, of_mesh: bool) -> dict[str, float | str]:
+    """What the fits were made with, for the manifest; ``edge`` is h_ref."""
+    return {
+        "h_ref": edge,
+        "h_ref_is": "median edge of the reference" if of_mesh else "half the voxel edge",
+        "radius": REACH * edge,
+        "minimum_neighbours": MINIMUM_NEIGHBOURS,
+        "most_neighbours": MOST_NEIGHBOURS,
+        "condition_limit": CONDITION_LIMIT,
+    }
 
 
 def dihedral_mean_curvature(mesh: PolygonMesh) -> float:

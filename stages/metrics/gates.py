@@ -1,0 +1,164 @@
+"""What a surface must be, each with the elements that are in the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..surface.geometry import enclosed_volume, fan_triangles
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.topology import edge_keys, pinched_vertices, topology
+from .intersections import DEPTH, self_intersections
+
+NAMED = 20
+"""Elements of each kind that a manifest names; the PLY has all."""
+CODES = {
+    "open_edges": 1,
+    "crowded_edges": 2,
+    "turned_edges": 3,
+    "pinched_vertices": 4,
+    "crossing_faces": 5,
+}
+"""Kinds of defects by the number that marks them in the PLY."""
+
+FieldsOf = dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class Defects:
+    """Elements that a surface should not have."""
+
+    open_edges: Ints
+    """In one face only ``(E, 2)``."""
+    crowded_edges: Ints
+    """In more than two faces, or from a vertex to itself ``(E, 2)``."""
+    turned_edges: Ints
+    """In two faces that go along them the same way ``(E, 2)``."""
+    pinched_vertices: Ints
+    """Whose faces are not one fan ``(V,)``."""
+    crossing_faces: Ints
+    """Pairs of faces that cross each other, or themselves ``(P, 2)``."""
+
+    @property
+    def count(self) -> int:
+        return sum(len(getattr(self, kind)) for kind in CODES)
+
+    def named(self) -> dict[str, Any]:
+        """How many of each kind there are, and the first of them."""
+        return {
+            kind: {"count": len(elements), "first": elements[:NAMED].tolist()}
+            for kind in CODES
+            if len(elements := getattr(self, kind))
+        }
+
+    def mesh(
+        self, surface: PolygonMesh
+    ) -> tuple[PolygonMesh, dict[str, Floats], dict[str, Floats]]:
+        """The faces of ``surface`` at a defect, with data by vertex and by face: its number in
+        ``surface``, and the code of its defect (the lowest, 0 for what is only near one)."""
+        vertex_code = np.full(surface.vertex_count, len(CODES) + 1)
+        face_code = np.full(surface.face_count, len(CODES) + 1)
+        keys, _ = edge_keys(surface)
+        for kind, code in CODES.items():
+            elements = getattr(self, kind)
+            if kind == "crossing_faces":
+                face_code[elements] = np.minimum(face_code[elements], code)
+                continue
+            vertex_code[elements] = np.minimum(vertex_code[elements], code)
+            if kind == "pinched_vertices":
+                corners = np.isin(surface.face_vertices, elements)
+            else:
+                corners = np.isin(keys, elements[:, 0] * surface.vertex_count + elements[:, 1])
+            np.minimum.at(face_code, surface.corner_faces[corners], code)
+        keep = face_code <= len(CODES)
+        used = np.zeros(surface.vertex_count, dtype=bool)
+        used[surface.face_vertices[keep[surface.corner_faces]]] = True
+        part = surface.select_faces(keep).without_unused_vertices()
+        code = np.where(vertex_code > len(CODES), 0, vertex_code)[used]
+        return (
+            part,
+            {"defect": code.astype(float), "vertex": np.flatnonzero(used).astype(float)},
+            {"defect": face_code[keep].astype(float), "face": np.flatnonzero(keep).astype(float)},
+        )
+
+
+def defects(mesh: PolygonMesh) -> Defects:
+    """Find them. Faces with more than three corners are taken as fans about their centroids."""
+    keys, forward = edge_keys(mesh)
+    unique, inverse = np.unique(keys, return_inverse=True)
+    uses = np.bincount(inverse, minlength=len(unique))
+    ahead = np.bincount(inverse, forward, minlength=len(unique))
+    loop = np.zeros(len(unique), dtype=bool)
+    loop[inverse[mesh.face_vertices == mesh.next_vertices]] = True
+
+    def chosen(where: NDArray[np.bool_]) -> Ints:
+        return np.stack(np.divmod(unique[where], max(mesh.vertex_count, 1)), axis=1)
+
+    vertices, triangles, face = fan_triangles(mesh)
+    return Defects(
+        open_edges=chosen((uses == 1) & ~loop),
+        crowded_edges=chosen((uses > 2) | loop),
+        turned_edges=chosen((uses == 2) & (ahead != 1) & ~loop),
+        pinched_vertices=pinched_vertices(mesh),
+        crossing_faces=np.unique(face[self_intersections(vertices, triangles)], axis=0),
+    )
+
+
+def gates(
+    mesh: PolygonMesh, found: Defects, expected: tuple[int, int] | None
+) -> dict[str, bool | str]:
+    """Whether each gate holds, or a sentence that says why that is not known.
+
+    ``expected`` are the Euler number and the number of components that the reference has.
+    """
+    facts = topology(mesh)
+    directed = not len(found.turned_edges)
+    closed = not len(found.open_edges) and facts.faces > 0
+    manifold = not len(found.crowded_edges)
+    return {
+        "closed": closed,
+        "edges_manifold": manifold,
+        "vertices_manifold": not len(found.pinched_vertices),
+        "oriented": directed,
+        "outward": enclosed_volume(*fan_triangles(mesh)[:2]) > 0
+        if closed and manifold and directed
+        else "not known: the surface is not closed and oriented",
+        "free_of_self_intersections": not len(found.crossing_faces),
+        "topology": (facts.euler_number, facts.components) == expected
+        if expected
+        else "not known: that of the reference is not",
+    }
+
+
+def failed(metrics: dict[str, Any]) -> dict[str, str]:
+    """What is wrong at each gate that an evaluation found not to hold, in words."""
+    count = {kind: entry["count"] for kind, entry in metrics["defects"].items()}
+    first = {kind: entry["first"] for kind, entry in metrics["defects"].items()}
+
+    def said(kind: str, text: str) -> str:
+        names = ", ".join(
+            "-".join(map(str, each)) if isinstance(each, list) else str(each)
+            for each in first.get(kind, [])[:3]
+        )
+        more = ", ..." if count.get(kind, 0) > 3 else ""
+        return f"{text}: {count.get(kind, 0)} ({names}{more})"
+
+    facts = metrics["topology"]
+    expected = metrics["expected_topology"] or {}
+    words = {
+        "closed": said("open_edges", "edges in one face only"),
+        "edges_manifold": said("crowded_edges", "edges in more than two faces"),
+        "vertices_manifold": said("pinched_vertices", "vertices whose faces are not one fan"),
+        "oriented": said("turned_edges", "edges whose two faces are turned against each other"),
+        "outward": "the faces point inward",
+        "free_of_self_intersections": said(
+            "crossing_faces", f"pairs of faces that cross deeper than {DEPTH:g} of the diagonal"
+        ),
+        "topology": f"Euler number {facts['euler_number']} and {facts['components']} components, "
+        f"for {expected.get('euler_number')} and {expected.get('components')} of the reference",
+        "certificate": "the certificate does not hold",
+    }
+    return {name: words[name] for name, held in metrics["gates"].items() if held is False}

@@ -1,0 +1,241 @@
+"""Pairs of triangles of one surface that cross each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..compiled import compiled
+from ..surface.polygons import Floats, Ints
+
+DEPTH = 1e-9
+"""In units of the bounding box's diagonal: triangles that touch less deeply than this do not cross.
+
+Corners are rounded to 1e-16 of their coordinates, and faces with more than three corners are flat
+only up to that; what is 1e7 times as deep is no rounding.
+"""
+MOST_CELLS = 24
+"""Cells of the grid that a triangle lies in on average, at the most."""
+
+
+def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
+    """The pairs ``(P, 2)`` of ``triangles (T, 3)`` that cross or overlap, smaller index first.
+
+    Two triangles cross when an edge of one has its ends on both sides of the other, by more than
+    DEPTH each, and meets it. Triangles in one plane overlap when they have area in common, so
+    neighbours do that are folded flat onto each other. Triangles without area are left out.
+    """
+    if len(triangles) < 2:
+        return np.zeros((0, 2), np.int64)
+    low, high = vertices[triangles].min(axis=(0, 1)), vertices[triangles].max(axis=(0, 1))
+    diagonal = float(np.linalg.norm(high - low))
+    if not diagonal > 0:
+        return np.zeros((0, 2), np.int64)
+    placed = np.ascontiguousarray((vertices - low) / diagonal)
+    boxes = np.stack([placed[triangles].min(axis=1), placed[triangles].max(axis=1)], axis=1)
+    first, last, counts = _grid(boxes)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    shape = last.max(axis=0) + 1
+    key, member = _entries(first, last, offsets, shape)
+    order = np.argsort(key, kind="stable")
+    key, member = key[order], member[order]
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(key)) + 1, [len(key)]])
+    pairs = _crossings(
+        placed, np.ascontiguousarray(triangles), boxes, first, shape, key, member, starts
+    )
+    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+
+
+def _grid(boxes: Floats) -> tuple[Ints, Ints, Ints]:
+    """First and last cell ``(T, 3)`` and number of cells of each box ``(T, 2, 3)``."""
+    edge = max(1.5 * float((boxes[:, 1] - boxes[:, 0]).mean(axis=0).max()), 1e-4)
+    while True:
+        first, last = (np.floor(boxes[:, k] / edge).astype(np.int64) for k in (0, 1))
+        counts = np.prod(last - first + 1, axis=1)
+        if counts.sum() <= MOST_CELLS * len(boxes):
+            return first, last, counts
+        edge *= 1.5
+
+
+@compiled
+def _entries(first: Ints, last: Ints, offsets: Ints, shape: Ints) -> tuple[Ints, Ints]:
+    """The cell, as one integer, and the triangle of every entry of the grid."""
+    key, member = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
+    for t in range(len(first)):
+        at = offsets[t]
+        for i in range(first[t, 0], last[t, 0] + 1):
+            for j in range(first[t, 1], last[t, 1] + 1):
+                for k in range(first[t, 2], last[t, 2] + 1):
+                    key[at] = (i * shape[1] + j) * shape[2] + k
+                    member[at] = t
+                    at += 1
+    return key, member
+
+
+@compiled
+def _crossings(
+    vertices: Floats,
+    triangles: Ints,
+    boxes: Floats,
+    first: Ints,
+    shape: Ints,
+    key: Ints,
+    member: Ints,
+    starts: Ints,
+) -> Ints:
+    """The crossing pairs among triangles that share a cell; entries are sorted by cell."""
+    found = np.empty((64, 2), np.int64)
+    count = 0
+    normal, solid = _normals(vertices, triangles)
+    for c in range(len(starts) - 1):
+        cell = key[starts[c]]
+        for one in range(starts[c], starts[c + 1]):
+            a = member[one]
+            if not solid[a]:
+                continue
+            for other in range(one + 1, starts[c + 1]):
+                b = member[other]
+                if not solid[b]:
+                    continue
+                apart = False
+                home = 0
+                for k in range(3):
+                    if boxes[a, 0, k] > boxes[b, 1, k] or boxes[b, 0, k] > boxes[a, 1, k]:
+                        apart = True
+                    home = home * shape[k] + max(first[a, k], first[b, k])
+                # Of the cells that both lie in, only the lowest one looks at them.
+                if apart or home != cell:
+                    continue
+                if _cross(vertices, triangles[a], triangles[b], normal[a], normal[b]):
+                    if count == len(found):
+                        larger = np.empty((2 * count, 2), np.int64)
+                        larger[:count] = found
+                        found = larger
+                    found[count, 0], found[count, 1] = min(a, b), max(a, b)
+                    count += 1
+    return found[:count]
+
+
+@compiled
+def _normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Unit normals ``(T, 3)``, and 1 for triangles that are higher than DEPTH ``(T,)``."""
+    normal = np.zeros((len(triangles), 3))
+    solid = np.zeros(len(triangles), np.int64)
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        size, longest = 0.0, 0.0
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            normal[t, i] = (vertices[b, j] - vertices[a, j]) * (vertices[c, k] - vertices[a, k])
+            normal[t, i] -= (vertices[b, k] - vertices[a, k]) * (vertices[c, j] - vertices[a, j])
+            size += normal[t, i] ** 2
+        for u, v in ((a, b), (b, c), (c, a)):
+            longest = max(longest, _along(vertices, u, v, u, v))
+        size = np.sqrt(size)
+        if size > DEPTH * np.sqrt(longest) and size > 0:
+            normal[t] /= size
+            solid[t] = 1
+    return normal, solid
+
+
+@compiled
+def _along(vertices: Floats, a: int, b: int, c: int, d: int) -> float:
+    """Scalar product of the ways from ``a`` to ``b`` and from ``c`` to ``d``."""
+    total = 0.0
+    for k in range(3):
+        total += (vertices[b, k] - vertices[a, k]) * (vertices[d, k] - vertices[c, k])
+    return total
+
+
+@compiled
+def _height(vertices: Floats, start: int, end: int, normal: Floats) -> float:
+    """How far ``end`` is from ``start`` along ``normal``."""
+    total = 0.0
+    for k in range(3):
+        total += (vertices[end, k] - vertices[start, k]) * normal[k]
+    return total
+
+
+@compiled
+def _inward(vertices: Floats, start: int, end: int, normal: Floats, x: Floats) -> float:
+    """How far point ``x`` is to the left of the line from ``start`` to ``end``, seen from where
+    ``normal`` points to: inside a triangle of that normal it is so for all edges."""
+    total, length = 0.0, 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        left = normal[j] * (vertices[end, k] - vertices[start, k])
+        left -= normal[k] * (vertices[end, j] - vertices[start, j])
+        total += (x[i] - vertices[start, i]) * left
+        length += (vertices[end, i] - vertices[start, i]) ** 2
+    return total / np.sqrt(length)
+
+
+@compiled
+def _depth(vertices: Floats, q: Ints, normal: Floats, x: Floats) -> float:
+    """How far ``x`` of q's plane is inside triangle ``q``: least distance to its edges, signed."""
+    least = np.inf
+    for i in range(3):
+        least = min(least, _inward(vertices, q[i], q[(i + 1) % 3], normal, x))
+    return least
+
+
+@compiled
+def _cross(vertices: Floats, p: Ints, q: Ints, p_normal: Floats, q_normal: Floats) -> bool:
+    """Whether triangles ``p`` and ``q (3,)`` cross, or overlap in one plane."""
+    flat = True
+    for i in range(3):
+        flat = flat and abs(_height(vertices, q[0], p[i], q_normal)) <= DEPTH
+        flat = flat and abs(_height(vertices, p[0], q[i], p_normal)) <= DEPTH
+    if flat:
+        turn = 1.0 if (p_normal * q_normal).sum() > 0 else -1.0
+        return _overlap(vertices, p, q, p_normal, turn * p_normal)
+    return _pierces(vertices, p, q, q_normal) or _pierces(vertices, q, p, p_normal)
+
+
+@compiled
+def _pierces(vertices: Floats, p: Ints, q: Ints, normal: Floats) -> bool:
+    """Whether an edge of ``p`` passes through ``q``, whose normal is given."""
+    x = np.empty(3)
+    for i in range(3):
+        start, end = p[i], p[(i + 1) % 3]
+        here, there = (
+            _height(vertices, q[0], start, normal),
+            _height(vertices, q[0], end, normal),
+        )
+        if min(here, there) < -DEPTH and max(here, there) > DEPTH:
+            share = here / (here - there)
+            for k in range(3):
+                x[k] = vertices[start, k] + share * (vertices[end, k] - vertices[start, k])
+            # Edges of mirror images meet exactly at the mirror.
+            if _depth(vertices, q, normal, x) > -DEPTH:
+                return True
+    return False
+
+
+@compiled
+def _overlap(vertices: Floats, p: Ints, q: Ints, p_normal: Floats, q_normal: Floats) -> bool:
+    """Whether two triangles in a plane have area in common."""
+    middle = np.zeros(3)
+    for one, other, normal in ((p, q, q_normal), (q, p, p_normal)):
+        for k in range(3):
+            middle[k] = (vertices[one[0], k] + vertices[one[1], k] + vertices[one[2], k]) / 3
+        if _depth(vertices, other, normal, middle) > DEPTH:
+            return True
+        for i in range(3):
+            if _depth(vertices, other, normal, vertices[one[i]]) > DEPTH:
+                return True
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = p[i], p[(i + 1) % 3], q[j], q[(j + 1) % 3]
+            if _divided(vertices, a, b, c, d, p_normal) and _divided(
+                vertices, c, d, a, b, p_normal
+            ):
+                return True
+    return False
+
+
+@compiled
+def _divided(vertices: Floats, a: int, b: int, c: int, d: int, normal: Floats) -> bool:
+    """Whether ``c`` and ``d`` lie on both sides of the line from ``a`` to ``b``."""
+    one = _inward(vertices, a, b, normal, vertices[c])
+    two = _inward(vertices, a, b, normal, vertices[d])
+    return min(one, two) < -DEPTH and max(one, two) > DEPTH

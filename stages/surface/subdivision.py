@@ -1,0 +1,56 @@
+"""Triangles divided until no edge is longer than asked, their surface unchanged."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .polygons import Floats, Ints
+
+ROUNDS = 24
+"""Halvings of an edge, at the most."""
+
+
+def subdivided(
+    vertices: Floats, triangles: Ints, longest: float, most: int
+) -> tuple[Floats, Ints] | None:
+    """``vertices (V, 3)`` and ``triangles (T, 3)`` with every edge over ``longest`` halved until
+    none is; neighbours stay neighbours. None when that takes more than ``most`` vertices.
+    """
+    for _ in range(ROUNDS):
+        ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=2)
+        key = ends.min(axis=2) * len(vertices) + ends.max(axis=2)
+        edges, corner = np.unique(key, return_inverse=True)
+        start, end = np.divmod(edges, len(vertices))
+        long = np.linalg.norm(vertices[start] - vertices[end], axis=1) > longest
+        if not long.any():
+            return vertices, triangles
+        if len(vertices) + long.sum() > most:
+            return None
+        middle = np.full(len(edges), -1)
+        middle[long] = len(vertices) + np.arange(long.sum())
+        vertices = np.concatenate([vertices, 0.5 * (vertices[start[long]] + vertices[end[long]])])
+        triangles = _divided(triangles, middle[corner.reshape(-1, 3)])
+    return vertices, triangles
+
+
+def _divided(triangles: Ints, middle: Ints) -> Ints:
+    """``triangles`` cut at ``middle (T, 3)``: the vertex on the edge after each corner, or -1."""
+    count = (middle >= 0).sum(axis=1)
+    # With one middle it comes first; with two the edge without one comes last.
+    turn = np.where(count == 1, (middle >= 0).argmax(axis=1), (middle < 0).argmax(axis=1) + 1)
+    order = (np.where(np.isin(count, (1, 2)), turn, 0)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(triangles, order, axis=1).T
+    p, q, r = np.take_along_axis(middle, order, axis=1).T
+    patterns = {
+        0: [(a, b, c)],
+        1: [(a, p, c), (p, b, c)],
+        2: [(a, p, q), (p, b, q), (a, q, c)],
+        3: [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
+    }
+    return np.concatenate(
+        [
+            np.stack(corners, axis=1)[count == number]
+            for number, parts in patterns.items()
+            for corners in parts
+        ]
+    )
