@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
-from conftest import sphere_mesh, torus_mesh
+from conftest import Cli, sphere_mesh, surface_of, torus_mesh
 
 from vorolight.stages.metrics import chamfer, curvature
+from vorolight.stages.metrics.fidelity import fidelity
+from vorolight.stages.metrics.protocols import PROTOCOLS
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.polygons import PolygonMesh
 
@@ -64,3 +69,51 @@ def test_chamfer_of_one_surface_is_its_sampling_floor() -> None:
     apart = chamfer.chamfer(one, two + np.array([0.5, 0, 0]), 0.01, area)
     assert apart.f1 < 0.1
     assert apart.cd2 > 0.02
+
+
+def test_distances_between_concentric_spheres(tmp_path: Path) -> None:
+    truth = surface_of(tmp_path / "one.ply", sphere_mesh(1.0, 5))
+    vertices, triangles = sphere_mesh(1.02, 5)
+    random = np.random.default_rng(0)
+    points = geometry.sample_triangles(*sphere_mesh(1.0, 5), 20_000, random)[0]
+    normals = truth.closest(points)[1]
+    found = fidelity(vertices, triangles, truth, (points, normals), 20_000, random, 2)
+    # Facets of level 5 lie up to 0.0004 inside their sphere, both spheres' alike.
+    assert found.to_reference_cd2 == pytest.approx(0.02**2, rel=0.02)
+    assert found.from_reference_cd2 == pytest.approx(0.02**2, rel=0.02)
+    assert found.rms == pytest.approx(0.02, rel=0.02)
+    assert found.p99 == pytest.approx(0.02, rel=0.05)
+    assert found.normal_consistency == pytest.approx(1, abs=1e-3)
+    other = geometry.sample_triangles(vertices, triangles, 20_000, random)[0]
+    near, far = (chamfer.chamfer(other, points, limit, 4 * np.pi) for limit in (0.01, 0.08))
+    assert (near.f1, far.f1) == (0, pytest.approx(1, abs=1e-3))
+
+
+def test_resampled_curvature_does_not_depend_on_the_mesh() -> None:
+    """A mesh with fewer than 8 vertices within the radius has no valid fit; divided it has."""
+    vertices, triangles = sphere_mesh(1.0, 3)
+    assert not curvature.mean_curvature(vertices, triangles, 0.1)[1].any()
+    for level in (3, 4):
+        found = curvature.resampled(*sphere_mesh(1.0, level), 0.05)
+        assert found is not None
+        assert found.valid_share == 1
+    # With a radius of four edges the facets average out, but for two hundredths.
+    smooth = curvature.resampled(*sphere_mesh(1.0, 4), 0.15)
+    assert smooth is not None
+    assert smooth.mean == pytest.approx(1, abs=0.03)
+    assert curvature.resampled(vertices, triangles, 1e-4) is None
+
+
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_protocols_are_named_with_what_was_changed(name: str, heart_run: Path, cli: Cli) -> None:
+    words = ("--of", "init", "--protocol", name, "--samples", 3000)
+    done = cli("evaluate", *words, cwd=heart_run.parent)
+    assert done.returncode == 0, done.stderr
+    threshold = {"vorolight": 0.01, "voromesh": 0.003}[name]
+    assert f"protocol {name} (changed: samples): 3000 samples, F1 at {threshold}" in done.stdout
+    found = json.loads((heart_run / "evaluate-init.json").read_text())["metrics"]
+    assert found["protocol"]["threshold"] == threshold
+    assert found["gates"]["closed"] is True
+    assert found["gates"]["topology"] == "not known: that of the reference is not"
+    for path in heart_run.glob("evaluate-init.*"):
+        path.unlink()
