@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-lamps bench-images table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-lamps tables bench-images table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -106,6 +106,14 @@ table-photos: $(VENV)/installed
 # Lamps that were built: RUNS are their run folders.
 table-lamps: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/lamps.py $(RUNS)
+
+# The paper's tables and studies, to examples/results.md: DATA is a folder of meshes, ONLY some of
+# fields meshes resolutions inner pipeline noise images, QUICK=1 small runs for trying it out.
+WORK ?= examples/$(if $(QUICK),quick,tables)
+tables: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/tables.py --work $(WORK) $(if $(DATA),--data $(DATA)) \
+		--output $(if $(QUICK),$(WORK),examples)/results.md $(if $(QUICK),--quick) \
+		$(if $(ONLY),--only $(ONLY))
 
 # A step of the image losses, against an independent renderer.
 bench-images: $(VENV)/benched-with

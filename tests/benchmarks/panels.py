@@ -1,0 +1,85 @@
+"""Pictures of runs as panels of equal size, and panels put together with captions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.render import image_file, raster
+from vorolight.stages.report import pictures, preview
+from vorolight.stages.sources.resolve import up_axis
+from vorolight.stages.standing import recorded_input
+from vorolight.stages.surface.geometry import fan_triangles
+from vorolight.stages.surface.polygons import PolygonMesh
+
+CAPTION = 22
+"""Height of a line of words in pixels."""
+
+
+def surface(run: Path, stage: str, size: int, prefix: str = "surface/") -> np.ndarray:
+    """The surface of a stage with its edges ``(size, size, 3)``."""
+    folder = RunFolder(run)
+    vertices, triangles, faces = fan_triangles(
+        PolygonMesh.from_arrays(folder.arrays(stage, stage), prefix)
+    )
+    return raster.shaded(vertices, triangles, faces, pictures.SURFACE, view(folder), size, size)
+
+
+def view(folder: RunFolder) -> raster.View:
+    """As the report looks at it."""
+    stored = folder.manifest("classify")
+    assert stored is not None
+    up = up_axis(stored["inputs"][0]["path"])
+    return raster.view(up, pictures.AZIMUTH[up])
+
+
+def cut(run: Path, size: int) -> np.ndarray:
+    """The cells of the volume, cut open."""
+    drawn = pictures.cutaway(RunFolder(run), size)
+    assert drawn is not None
+    return drawn
+
+
+def field_slice(run: Path, size: int) -> np.ndarray:
+    """The middle slice through the input and its voxels."""
+    folder = RunFolder(run)
+    source = recorded_input(folder)
+    assert source is not None
+    classified = folder.arrays("classify", "classify")
+    return preview.preview(source.open(classified), classified, size)[:, -size:]
+
+
+def empty(size: int) -> np.ndarray:
+    """What stands for a run that failed."""
+    return np.full((size, size, 3), 0.93)
+
+
+def grid(
+    rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str], labels: Sequence[str]
+) -> np.ndarray:
+    """Panels in rows, ``columns`` above them and ``labels`` over each row."""
+    size = rows[0][0].shape[1]
+    width = size * max(len(row) for row in rows)
+    parts = [words(list(columns), size, width)] if columns else []
+    for label, row in zip(labels, rows, strict=True):
+        parts += [words([label], width, width)] if label else []
+        parts.append(np.concatenate(row, axis=1))
+    return np.concatenate(parts)
+
+
+def words(texts: list[str], step: int, width: int) -> np.ndarray:
+    """A line of texts, one every ``step`` pixels."""
+    image = Image.new("RGB", (width, CAPTION), "white")
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(14)
+    for k, text in enumerate(texts):
+        draw.text((k * step + 6, 3), text, fill=(40, 44, 56), font=font)
+    return np.asarray(image) / 255
+
+
+def write(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(image_file.png(image))
