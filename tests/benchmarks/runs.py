@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import paper
-import shapes
 
 NOT_RUN = "not run"
 
@@ -46,11 +45,10 @@ class Settings:
 
 
 def quick(given: Settings) -> Settings:
-    """A few small runs."""
-    few = shapes.default(given.work / "shapes", ["torus", "bumpy"])
+    """A few small runs, on the first of the meshes."""
     return Settings(
-        work=given.work, pictures=given.pictures, meshes=few, n=6, samples=2000, points=5000,
-        epochs=20, noise=(0.0, 1.0), noise_n=6, noise_shapes=1, shape_weights=(100.0,),
+        work=given.work, pictures=given.pictures, meshes=given.meshes[:2], n=6, samples=2000,
+        points=5000, epochs=20, noise=(0.0, 1.0), noise_n=6, noise_shapes=1, shape_weights=(100.0,),
         normal_weights=(0.0, 1.0), resolutions=(5, 6), inner=(20, 40), views=(12, 6), view_n=6,
         view_size=96, view_shapes=1, panel=120, flags=("--iterations", "3"),
     )  # fmt: skip

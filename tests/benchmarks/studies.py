@@ -73,8 +73,8 @@ def noise(given: Settings) -> str:
         + f"\n\n{given.points:,} points sampled on the mesh and moved by Gaussian noise, in "
         f"percent of the diagonal; n = {given.noise_n}, triangles. The run sees only the points. "
         "VoroMesh gets its labels of inside and outside from the clean mesh, as in its own "
-        "evaluation. Weights are those of this tool's training (`--weight-shape`, 100 by default, and "
-        "`--weight-normal`, 0), which are not on the scale of the paper's."
+        "evaluation. Weights are those of this tool's training (`--weight-shape`, 100 by default, "
+        "and `--weight-normal`, 0), which are not on the scale of the paper's."
     )
 
 

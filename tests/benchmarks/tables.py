@@ -61,15 +61,20 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=list(PARTS), choices=list(PARTS))
     asked = parser.parse_args()
     asked.work.mkdir(parents=True, exist_ok=True)
-    chosen = shapes.of_folder(asked.data) if asked.data else shapes.default(asked.work / "shapes")
+    few = ["torus", "bumpy"] if asked.quick else None
+    chosen = (
+        shapes.of_folder(asked.data) if asked.data else shapes.default(asked.work / "shapes", few)
+    )
     given = Settings(asked.work, asked.output.parent, chosen)
     if asked.quick:
         given = quick(given)
+    # Parts that were made of other meshes, or otherwise, are no parts of this page.
     kept = asked.work / "texts.json"
-    texts: dict[str, str] = json.loads(kept.read_text()) if kept.is_file() else {}
+    stored = json.loads(kept.read_text()) if kept.is_file() else {}
+    texts: dict[str, str] = stored["texts"] if stored.get("settings") == str(given) else {}
     for name in asked.only or PARTS:
         texts[name] = PARTS[name][1](given)
-        kept.write_text(json.dumps(texts))
+        kept.write_text(json.dumps({"settings": str(given), "texts": texts}))
         asked.output.parent.mkdir(parents=True, exist_ok=True)
         asked.output.write_text(page(texts, given))
     print(asked.output)
