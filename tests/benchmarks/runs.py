@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,18 +40,33 @@ class Settings:
     view_size: int = 512
     view_shapes: int = 4
     panel: int = 300
-    flags: tuple[str, ...] = field(default_factory=tuple)
+    flags: tuple[str, ...] = ()
     """Of every sphere-train."""
 
 
 def quick(given: Settings) -> Settings:
     """A few small runs, on the first of the meshes."""
-    return Settings(
-        work=given.work, pictures=given.pictures, meshes=given.meshes[:2], n=6, samples=2000,
-        points=5000, epochs=20, noise=(0.0, 1.0), noise_n=6, noise_shapes=1, shape_weights=(100.0,),
-        normal_weights=(0.0, 1.0), resolutions=(5, 6), inner=(20, 40), views=(12, 6), view_n=6,
-        view_size=96, view_shapes=1, panel=120, flags=("--iterations", "3"),
-    )  # fmt: skip
+    return replace(
+        given,
+        meshes=given.meshes[:2],
+        n=6,
+        samples=2000,
+        points=5000,
+        epochs=20,
+        noise=(0.0, 1.0),
+        noise_n=6,
+        noise_shapes=1,
+        shape_weights=(100.0,),
+        normal_weights=(0.0, 1.0),
+        resolutions=(5, 6),
+        inner=(20, 40),
+        views=(12, 6),
+        view_n=6,
+        view_size=96,
+        view_shapes=1,
+        panel=120,
+        flags=("--iterations", "3"),
+    )
 
 
 class Failed(RuntimeError):
