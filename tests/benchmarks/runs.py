@@ -32,13 +32,13 @@ class Settings:
     noise_n: int = 15
     noise_shapes: int = 2
     shape_weights: tuple[float, ...] = (10.0, 100.0, 1000.0)
-    normal_weights: tuple[float, ...] = (0.0, 1.0, 10.0)
+    normal_weights: tuple[float, ...] = (0.0, 10.0)
     resolutions: tuple[int, ...] = paper.RESOLUTIONS
     inner: tuple[int, ...] = paper.INNER
     views: tuple[int, ...] = (300, 6)
     view_n: int = 40
     view_size: int = 512
-    view_shapes: int = 4
+    view_shapes: int = 3
     panel: int = 300
     flags: tuple[str, ...] = ()
     """Of every sphere-train."""
