@@ -34,7 +34,7 @@ def encode(schema: dict[str, Any]) -> str:
 def main() -> None:
     from vorolight.stages import standing
 
-    for name in standing.ORDER:
+    for name in standing.ALL:
         path = Path(__file__).parent / f"{name}.json"
         path.write_text(encode(stage_schema(name)), encoding="utf-8")
         print(path.name)

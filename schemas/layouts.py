@@ -62,6 +62,13 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         **_polygons("surface/", "s", "initial Voronoi surface"),
         "surface/face_generators": Layout(("Fs", 2), "i", "inside and outside generator"),
     },
+    "baseline": {
+        "generators": Layout(("N", 3), "f", "generators; the last eight bound the diagram"),
+        "generator_inside": Layout(("N",), "b", "label of each generator"),
+        "history": Layout(("I", 1), "f", "loss by epoch, squared and in the method's own frame"),
+        **_polygons("surface/", "s", "interface of the generators' diagram"),
+        "surface/face_generators": Layout(("Fs", 2), "i", "inside and outside generator"),
+    },
     "sphere-train": {
         "spheres/center": Layout(("Vt", 3), "f", "c_v"),
         "spheres/radius": Layout(("Vt",), "f", "r_v"),

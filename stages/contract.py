@@ -50,6 +50,11 @@ class Short:
 
 
 @dataclass(frozen=True)
+class Positional:
+    """Marks an option that is said without a flag, before INPUT."""
+
+
+@dataclass(frozen=True)
 class Length:
     """A number of millimetres, which may also be said as text with a unit: 120mm, 12cm, 4.7in."""
 
@@ -80,6 +85,7 @@ class Option:
     limits: Range | None
     short: str | None
     length: Length | None = None
+    positional: bool = False
 
     def check(self, value: Any) -> Any:
         """``value`` in the option's type. Raises UsageError when it does not fit."""
@@ -112,7 +118,7 @@ class Option:
 
     @property
     def flag(self) -> str:
-        return "--" + self.name.replace("_", "-")
+        return self.name.upper() if self.positional else "--" + self.name.replace("_", "-")
 
 
 class Params:
@@ -167,9 +173,12 @@ def _read_options(params: type[Params]) -> tuple[Option, ...]:
         limits = next((extra for extra in extras if isinstance(extra, Range)), None)
         short = next((extra.flag for extra in extras if isinstance(extra, Short)), None)
         length = next((extra for extra in extras if isinstance(extra, Length)), None)
+        positional = any(isinstance(extra, Positional) for extra in extras)
         meaning = meanings[item.name]
         found.append(
-            Option(item.name, kind, optional, item.default, meaning, limits, short, length)
+            Option(
+                item.name, kind, optional, item.default, meaning, limits, short, length, positional
+            )
         )
     return tuple(found)
 

@@ -86,7 +86,7 @@ def _standing(session: Session, stage: Stage, params: Params) -> Result | None:
         if not found.done:
             raise ArtifactError(
                 f"{session.folder.path}: stage {parent} is not up to date ({found.reason}); "
-                f"run: vorolight {parent}"
+                f"run: {' '.join(['vorolight', parent, *_arguments(found.stage, found.params)])}"
             )
     now = state(session, stage.name, params)
     if not now.done or session.force or now.manifest is None:
@@ -245,7 +245,7 @@ def _frame(folder: RunFolder) -> dict[str, Any]:
 
 def command_line(session: Session, stage: Stage, params: Params, source: Identity) -> str:
     """A command line that repeats a stage, from the folder that holds the run folder."""
-    words = ["vorolight", stage.name]
+    words = ["vorolight", stage.name, *_arguments(stage, params)]
     if stage.name == "classify":
         if source.path is not None:
             words.append(relative(source.path, _beside(session)))
@@ -255,7 +255,7 @@ def command_line(session: Session, stage: Stage, params: Params, source: Identit
             words += [source.name] if source.built_in else ["--field", source.name]
     for option in options(stage.params):
         value = getattr(params, option.name)
-        if value == option.default:
+        if value == option.default or option.positional:
             continue
         if isinstance(value, bool):
             words.append(option.flag if value else "--no-" + option.flag[2:])
@@ -266,6 +266,10 @@ def command_line(session: Session, stage: Stage, params: Params, source: Identit
     words += ["--device", session.device] if session.device != "cpu" else []
     words += ["--backend", session.backend] if session.backend != "scipy" else []
     return shlex.join(words)
+
+
+def _arguments(stage: Stage, params: Params) -> list[str]:
+    return [str(getattr(params, o.name)) for o in options(stage.params) if o.positional]
 
 
 def _beside(session: Session) -> Path:

@@ -15,6 +15,9 @@ from .errors import ArtifactError, InputError
 from .sources.resolve import Identity, identify, identify_field, identify_path
 
 ORDER = ("classify", "init", "sphere-train", "volume", "shade", "evaluate", "fabricate")
+"""The stages of a whole run, in order."""
+ALL = (*ORDER, "baseline")
+"""Every stage: also what is only run when asked for."""
 SETTINGS = ("seed", "device", "backend")
 """What of a session decides on a result."""
 
@@ -224,12 +227,17 @@ def _difference(
 
 
 def overall(session: Session) -> list[State]:
-    """Where every stage of a run folder stands, evaluations of each stage included."""
+    """Where every stage of a run folder stands, evaluations of each stage included.
+
+    Stages that are no part of a whole run are there if they were run."""
     found = input_of(session)
     left_out = (
         {"evaluate"} if found is not None and found.kind == "views" else {"evaluate", "shade"}
     )
     states = [state(session, name) for name in ORDER if name not in left_out]
+    states += [
+        state(session, name) for name in ALL if name not in ORDER and session.folder.manifest(name)
+    ]
     stage = get("evaluate")
     for path in sorted(session.folder.path.glob("evaluate-*.json")):
         stored = manifest.read(path)

@@ -37,6 +37,9 @@ def parameter_names(stages: Sequence[Stage]) -> dict[str, dict[str, str]]:
 
 
 def _annotation(option: Option, name: str, group: str) -> Any:
+    if option.positional:
+        meaning = f"{option.meaning} [{'|'.join(get_args(option.type))}]"
+        return Annotated[str, typer.Argument(help=meaning)]
     flag = "--" + name.replace("_", "-")
     if option.type is bool:
         flags = [f"{flag}/--no-{flag[2:]}"]
@@ -79,7 +82,12 @@ def add_options(
         for option in options(stage.params):
             name = names[stage.name][option.name]
             hints[name] = _annotation(option, name, stage.name)
-            parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None))
+            if option.positional:  # required, and before the INPUT
+                parameters.insert(0, inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY))
+            else:
+                parameters.append(
+                    inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
+                )
     hints.pop("return", None)
     function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [

@@ -150,4 +150,4 @@ def common_options(
         verify=verify,
         progress=console,
     )
-    return Common(console, session, seed, dry_run, read_config(config, standing.ORDER))
+    return Common(console, session, seed, dry_run, read_config(config, standing.ALL))

@@ -31,17 +31,22 @@ class Schedule:
 
     iterations: int
     rate: float
-    decay: Literal["constant", "cosine"]
+    decay: Literal["constant", "cosine", "halving"]
     checkpoint_every: int
     """Iterations between checkpoints; a multiple of every interval at which ``losses`` refreshes
     what it caches, so that a resumed run repeats the interrupted one bit by bit."""
     patience: int | None = None
     """Iterations after which training ends if none of them was better than the best before by
     LESS of it; None never ends early."""
+    halvings: tuple[float, ...] = ()
+    """Shares of the iterations after which the rate is halved, where it decays by halving."""
 
     def rate_at(self, iteration: int) -> float:
         if self.decay == "constant":
             return self.rate
+        if self.decay == "halving":
+            passed = sum(iteration >= share * self.iterations for share in self.halvings)
+            return self.rate * 0.5**passed
         return 0.5 * self.rate * (1 + math.cos(math.pi * iteration / self.iterations))
 
 

@@ -1,0 +1,192 @@
+"""Stage baseline: the surface that another published method makes of the input, to compare with.
+
+Example:
+    >>> from vorolight.stages import baseline, pipeline
+    >>> pipeline.execute(session, "baseline", baseline.Params("voromesh"))  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from . import contract, torch_start
+from .contract import Context, Outcome, Positional, Positive, Range, Stage
+from .errors import InputError
+from .memory import peak
+
+if TYPE_CHECKING:
+    from .baselines.voromesh import CubeFrame
+    from .sources.protocol import Source
+    from .surface.polygons import Floats
+
+SAMPLES = 150
+"""Samples for each square of the grid's side: 153,600 at 32."""
+
+
+@dataclass(frozen=True)
+class Params(contract.Params):
+    """Options of the baseline stage."""
+
+    method: Annotated[Literal["voromesh"], Positional()] = "voromesh"
+    """The method: VoroMesh (Maruani et al., ICCV 2023), with its published settings."""
+    grid: Annotated[int, Range(4, 512)] = 32
+    """Nodes along the cube that the shape fills nine tenths of; those near it are the generators
+    to start from."""
+    samples: Annotated[int, Range(100, 10_000_000)] | None = None
+    """Points on the surface: 150 times the square of the grid, which is 153,600 at 32. Of a point
+    cloud its own points, no more than these."""
+    epochs: Annotated[int, Range(0, 100_000)] = 400
+    """Adam iterations."""
+    batch: Annotated[float, Range(1e-3, 1)] = 0.2
+    """Share of the samples that an epoch takes, others each time."""
+    learning_rate: Positive = 5e-3
+    """Adam step at first, the cube's edge being 2; halved after 20, 37.5, 50 and 62.5 % of the
+    epochs."""
+    labels: str | None = None
+    """A mesh file or built-in field that says what is inside, such as the clean mesh of a noisy
+    point cloud; default: the input."""
+
+
+def run(context: Context) -> Outcome:
+    """Samples, generators near them, Adam on the VoroLoss, labels, and the interface."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    import torch
+
+    from .baselines import voromesh
+    from .export import ply
+    from .metrics import watertight
+    from .optimize.loop import Schedule, adam
+    from .surface.topology import topology
+    from .voronoi.interface import interface
+
+    torch_start.start(context.threads)
+    params = context.params
+    source = context.source()
+    judge = _judge(context)
+    samples, frame = _samples(context, source)
+    start = voromesh.first_generators(samples, params.grid)
+    generators = torch.tensor(start).requires_grad_(True)
+
+    with ThreadPoolExecutor(context.threads) as pool:
+
+        def losses(epoch: int) -> dict[str, torch.Tensor]:
+            with torch.no_grad():
+                generators.clamp_(-1.0, 1.0)
+            chosen = context.random("batch", epoch).random(len(samples)) < params.batch
+            batch = samples[chosen] if chosen.any() else samples
+            return {"voronoi": voromesh.differentiable(generators, batch, params.grid, pool)}
+
+        history = adam(
+            {"generators": generators},
+            losses,
+            {"voronoi": 1.0},
+            Schedule(
+                params.epochs, params.learning_rate, "halving", 50, halvings=voromesh.MILESTONES
+            ),
+            context.checkpoints,
+            context.progress,
+            "baseline",
+        )
+    places = voromesh.bounded(generators.detach().numpy().clip(-1.0, 1.0), context.random("jitter"))
+    inside = voromesh.labels(places, lambda points: judge.inside(frame.input_from_cube(points)))
+    if not inside.any():
+        of = context.folder.path if params.labels is None else params.labels
+        raise InputError(
+            f"{of}: no cell of the {len(start)} generators is inside"
+            + ("; raise --grid" if params.labels is None else "; is it where the input is?")
+        )
+    surface = interface(places, inside)
+    mesh = surface.mesh.with_vertices(frame.input_from_cube(surface.mesh.vertices))
+    facts, expected = topology(mesh), source.topology()
+    return Outcome(
+        arrays={
+            "generators": frame.input_from_cube(places),
+            "generator_inside": inside,
+            "history": history,
+            **mesh.as_arrays("surface/"),
+            "surface/face_generators": surface.generators,
+        },
+        files={"ply": ply.encode(mesh)},
+        metrics={
+            "method": params.method,
+            "samples": len(samples),
+            "generators": len(start),
+            "inside_generators": int(inside.sum()),
+            "topology": vars(facts),
+            "input_topology": None
+            if expected is None
+            else {"euler_number": expected[0], "components": expected[1]},
+            "final_loss": float(history[-1, 0]) if len(history) else None,
+            "labels": params.labels or "input",
+        },
+        warnings=_warnings(facts.euler_number, facts.components, expected),
+        recheck=watertight.as_written,
+    )
+
+
+def _warnings(euler: int, components: int, expected: tuple[int, int] | None) -> list[str]:
+    if expected is None or expected == (euler, components):
+        return []
+    return [
+        f"the surface has Euler number {euler} and {components} components, the input "
+        f"{expected[0]} and {expected[1]}"
+    ]
+
+
+def _judge(context: Context) -> Source:
+    """Who says what is inside. Raises InputError for what has no inside of its own."""
+    from .sources.resolve import identify
+
+    named = context.params.labels
+    if named is None:
+        return context.source()
+    found = identify(named)
+    if found.kind not in ("mesh", "field"):
+        raise InputError(f"{named}: is {found.kind}; --labels takes a mesh or a field")
+    return found.open()
+
+
+def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
+    """Samples of the surface in the method's cube, in the order of the grid's boxes, which lets
+    those that are worked on together be near one another, and the cube's frame."""
+    import numpy as np
+
+    from .baselines.sampling import DRAWN, even
+    from .baselines.voromesh import CubeFrame, box_of
+    from .sources.fields import FieldSource
+    from .sources.points import PointSource
+
+    params = context.params
+    count = params.samples or SAMPLES * params.grid**2
+    random = context.random("samples")
+    if isinstance(source, PointSource):
+        points = source.surface_samples(count, random)
+    else:
+        points = even(source.surface_samples(DRAWN * count, random), count, context.threads)
+    box = source.bounding_box()
+    if isinstance(source, FieldSource | PointSource):
+        # A field's box is what is searched, that of the surface made of points is not theirs.
+        box = np.stack([points.min(axis=0), points.max(axis=0)])
+    frame = CubeFrame.of_box(box)
+    samples = frame.cube_from_input(points)
+    return samples[np.argsort(box_of(samples, params.grid), kind="stable")], frame
+
+
+def _memory(context: Context) -> float:
+    params = context.params
+    count = params.samples or SAMPLES * params.grid**2
+    return peak(600.0, 400.0, 1.0, float(count))
+
+
+STAGE = Stage(
+    name="baseline",
+    version=1,
+    params=Params,
+    run=run,
+    parents=lambda params: ("classify",),
+    reads_input=True,
+    extra_inputs=lambda params: {} if params.labels is None else {"labels": params.labels},
+    memory=_memory,
+)
