@@ -140,5 +140,5 @@ def test_wheel_holds_everything(tmp_path: Path) -> None:
     names = set(zipfile.ZipFile(next(tmp_path.glob("*.whl"))).namelist())
     for short, folder in FOLDERS.items():
         for path in (ROOT / folder).rglob("*"):
-            if path.suffix in {".py", ".json"} or path.name == "py.typed":
+            if path.suffix in {".py", ".json", ".js", ".css"} or path.name == "py.typed":
                 assert f"vorolight/{short}/{path.relative_to(ROOT / folder).as_posix()}" in names

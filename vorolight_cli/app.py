@@ -21,6 +21,7 @@ from vorolight.stages.contract import Stage
 from vorolight.stages.errors import UsageError, VorolightError
 
 from . import summary
+from .compare import compare, outdated
 from .console import Console, table
 from .export import export
 from .gating import gating
@@ -258,13 +259,7 @@ def _run_command() -> None:
 def _write_report(folder: RunFolder, console: Console, pictures: Path | None = None) -> None:
     from vorolight.stages.report import page
 
-    states = standing.overall(standing.Session(folder=folder))
-    stale = {
-        found.stage.stem_of(found.params): found.reason
-        for found in states
-        if found.manifest is not None and found.reason is not None
-    }
-    console.say(f"report: {page.write(folder, stale, pictures)}")
+    console.say(f"report: {page.write(folder, outdated(folder), pictures)}")
 
 
 @app.command()
@@ -324,6 +319,7 @@ def sample(
     print(target)
 
 
+app.command()(guarded(compare))
 app.command()(guarded(export))
 app.command()(guarded(views))
 app.command()(guarded(from_image))

@@ -6,6 +6,9 @@ import html
 from collections.abc import Mapping
 from typing import Any
 
+from .curves import histogram
+from .tables import number, table
+
 NAMES = {
     "volume": "cell volume",
     "face_area": "face area",
@@ -16,7 +19,6 @@ NAMES = {
     "size_ratio": "size of neighbours, larger over smaller",
 }
 COLUMNS = ("least", "mean", "median", "p95", "p99", "most")
-WIDTH, HEIGHT, FOOT = 240, 90, 18
 
 
 def section(metrics: Mapping[str, Any]) -> str:
@@ -40,38 +42,18 @@ def section(metrics: Mapping[str, Any]) -> str:
             f"{100 * metrics['neighbours_within_factor_2']:.1f} %",
         ),
     ]
-    rows = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-        for name, value in facts
-    )
-    head = "".join(f"<th>{name}</th>" for name in ("", *COLUMNS))
-    lines = "".join(
-        f"<tr><td>{title}</td>"
-        + "".join(f"<td>{quality[name][column]:.4g}</td>" for column in COLUMNS)
-        + "</tr>"
+    rows = [(html.escape(name), html.escape(value)) for name, value in facts]
+    lines = [
+        (title, *(number(quality[name][column]) for column in COLUMNS))
+        for name, title in NAMES.items()
+    ]
+    pictures = "".join(
+        histogram(title, quality[name]["histogram"]["edges"], quality[name]["histogram"]["counts"])
         for name, title in NAMES.items()
     )
-    pictures = "".join(_histogram(title, quality[name]) for name, title in NAMES.items())
     return (
-        f'<h2>Cells</h2><div class="scroll"><table>{rows}</table></div>'
-        f'<div class="scroll"><table><tr>{head}</tr>{lines}</table></div>'
-        "<p>Non-orthogonality, skewness and aspect ratio are OpenFOAM's.</p>"
-        f'<div class="histograms">{pictures}</div>'
-    )
-
-
-def _histogram(title: str, found: Mapping[str, Any]) -> str:
-    edges, counts = found["histogram"]["edges"], found["histogram"]["counts"]
-    most, width = max(*counts, 1), WIDTH / len(counts)
-    bars = "".join(
-        f'<rect x="{k * width:.1f}" y="{HEIGHT * (1 - count / most):.1f}" '
-        f'width="{width - 1:.1f}" height="{HEIGHT * count / most:.1f}"/>'
-        for k, count in enumerate(counts)
-    )
-    return (
-        f'<figure><svg viewBox="0 0 {WIDTH} {HEIGHT + FOOT}" width="{WIDTH}" font-size="11" '
-        f'fill="#4477aa" role="img" aria-label="{html.escape(title)}">{bars}'
-        f'<text x="0" y="{HEIGHT + 13}" fill="currentColor">{edges[0]:.3g}</text>'
-        f'<text x="{WIDTH}" y="{HEIGHT + 13}" fill="currentColor" text-anchor="end">'
-        f"{edges[-1]:.3g}</text></svg><figcaption>{html.escape(title)}</figcaption></figure>"
+        f"<h2>Cells</h2>{table(('', ''), rows, 'numbers')}"
+        f"{table(('', *COLUMNS), lines, 'numbers')}"
+        '<p class="help">Non-orthogonality, skewness and aspect ratio are OpenFOAM\'s.</p>'
+        f'<div class="figures">{pictures}</div>'
     )

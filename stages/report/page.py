@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,12 @@ from ..artifacts.manifest import Manifest, read
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
 from ..render import image_file
-from . import cells, printing
-from .pictures import PICTURES
+from . import cells, curves, headline, printing, quality, viewer
+from .pictures import PICTURES, up_of
+from .surfaces import collect
+from .tables import facts, number, table
 
-STAGES = ("classify", "init", "sphere-train", "volume", "shade", "fabricate")
+STAGES = ("classify", "init", "sphere-train", "volume", "shade", "baseline", "fabricate")
 CAPTIONS = {
     "surfaces": "Initial Voronoi surface, trained polygons, and the surface as written: the "
     "interface of the real Voronoi diagram.",
@@ -25,17 +27,19 @@ CAPTIONS = {
     "lamp": "The object as it will be printed, lit and by day. Without --render the light casts no "
     "shadows.",
 }
-STYLE = """
-:root{color-scheme:light dark}
-body{font:16px/1.5 system-ui,sans-serif;max-width:68rem;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.6rem}h2{font-size:1.15rem;margin:2rem 0 .5rem}
-img{max-width:100%;border-radius:6px}figure{margin:1rem 0}figcaption{opacity:.75;font-size:.9rem}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.92rem}
-td,th{padding:.2rem .8rem .2rem 0;text-align:left;border-bottom:1px solid #8884}
-.warn{border-left:4px solid #d90;padding:.2rem .8rem;margin:.4rem 0}
-.histograms{display:flex;flex-wrap:wrap;gap:0 1.5rem}
-details{margin:.4rem 0}summary{cursor:pointer}.scroll{overflow-x:auto}
-"""
+
+
+def manifests_of(folder: RunFolder) -> dict[str, Manifest]:
+    """The manifests of a run's finished stages, evaluations last.
+
+    Raises ArtifactError when no stage is done.
+    """
+    found = {name: stored for name in STAGES if (stored := folder.manifest(name))}
+    for path in sorted(folder.path.glob("evaluate-*.json")):
+        found[path.stem] = read(path)
+    if not found:
+        raise ArtifactError(f"{folder.path}: no stage is done; run: vorolight run INPUT")
+    return found
 
 
 def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = None) -> Path:
@@ -43,149 +47,108 @@ def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = N
 
     ``stale`` says of stages that are done why they are out of date.
 
-    Raises ArtifactError when no stage is done.
+    Raises ArtifactError when no stage is done, or the file of one is missing or damaged.
     """
-    manifests = {name: found for name in STAGES if (found := folder.manifest(name))}
-    for path in sorted(folder.path.glob("evaluate-*.json")):
-        manifests[path.stem] = read(path)
-    if not manifests:
-        raise ArtifactError(f"{folder.path}: no stage is done; run: vorolight run INPUT")
-    body = [_heading(manifests), _warnings(manifests, stale)]
-    for name, draw in PICTURES.items():
-        image = draw(folder)
-        if image is None:
-            continue
-        data = image_file.png(image)
-        if pictures is not None:
-            atomic.make_folder(pictures)
-            atomic.write(pictures / f"{folder.path.stem}-{name}.png", data)
-        body.append(
-            f'<figure><img alt="{name}" src="data:image/png;base64,'
-            f'{base64.b64encode(data).decode()}"><figcaption>{CAPTIONS[name]}</figcaption></figure>'
-        )
-    for name, manifest in manifests.items():
-        if name.startswith("evaluate-"):
-            body.append(_evaluation(name, manifest))
+    manifests = manifests_of(folder)
+    measured = {key: found for key, found in manifests.items() if key.startswith("evaluate-")}
+    collected = collect(folder)
+    panel = viewer.Panel(folder.path.resolve().stem, collected.shapes, {})
+    body = [
+        headline.heading(manifests),
+        headline.cards(manifests),
+        headline.not_done(manifests),
+        headline.outdated(stale),
+        viewer.section([panel], [up_of(folder)], True, "The surfaces"),
+        "".join(f'<p class="help">{html.escape(text)}</p>' for text in collected.left_out),
+        headline.warnings(manifests),
+        *_pictures(folder, pictures),
+        quality.evaluations(measured),
+        quality.conformity(manifests),
+        quality.gates(measured),
+        curves.distributions(collected.shapes),
+        curves.losses(folder),
+    ]
     # A volume from before there were these figures is stale, and said to be.
     if "volume" in manifests and "quality" in manifests["volume"]["metrics"]:
         body.append(cells.section(manifests["volume"]["metrics"]))
     if "fabricate" in manifests and "printability" in manifests["fabricate"]["metrics"]:
         body.append(printing.section(folder, manifests["fabricate"]["metrics"]))
-    for stage in ("init", "sphere-train"):
-        if stage in manifests:
-            body.append(_curves(folder, stage))
-    body += [_timings(manifests), *(_details(name, found) for name, found in manifests.items())]
-    page = (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(folder.path.stem)} - vorolight</title><style>{STYLE}</style></head>"
-        f"<body>{''.join(body)}</body></html>\n"
-    )
+    body += [timings(manifests), "<h2>Parameters and figures of the stages</h2>"]
+    body += [_details(name, found) for name, found in manifests.items()]
     target = folder.path / "report.html"
-    atomic.write(target, page.encode("utf-8"))
+    title = f"{folder.path.resolve().stem} - vorolight"
+    atomic.write(target, document(title, body).encode("utf-8"))
     return target
 
 
-def _table(rows: list[tuple[Any, ...]]) -> str:
-    head = "".join(f"<th>{html.escape(str(cell))}</th>" for cell in rows[0])
-    lines = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(_shown(cell))}</td>" for cell in row) + "</tr>"
-        for row in rows[1:]
+def document(title: str, body: Sequence[str]) -> str:
+    """The whole page: it loads nothing, and no script runs in it but the view's own."""
+    policy = (
+        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+        f"script-src {viewer.script_hash()}"
     )
-    return f'<div class="scroll"><table><tr>{head}</tr>{lines}</table></div>'
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        f"<title>{html.escape(title)}</title><style>{viewer.asset('style.css')}</style></head>"
+        f"<body><main>{''.join(body)}</main></body></html>\n"
+    )
 
 
-def _shown(value: Any) -> str:
-    if value is None:
-        return "not run"
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+def _pictures(folder: RunFolder, target: Path | None) -> list[str]:
+    figures = []
+    for name, draw in PICTURES.items():
+        image = draw(folder)
+        if image is None:
+            continue
+        data = image_file.png(image)
+        if target is not None:
+            atomic.make_folder(target)
+            atomic.write(target / f"{folder.path.stem}-{name}.png", data)
+        figures.append(picture(name, data, CAPTIONS[name]))
+    return ["<h2>Pictures</h2>", *figures] if figures else []
 
 
-def _flat(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    if isinstance(value, dict):
-        return [
-            row
-            for key, item in value.items()
-            if key not in ("histogram", "printability")
-            for row in _flat(item, f"{prefix}{key}.")
-        ]
-    return [(prefix.rstrip("."), value)]
+def picture(name: str, data: bytes, caption: str) -> str:
+    """HTML of a PNG with what it shows."""
+    return (
+        f'<figure><img alt="{html.escape(name)}" src="data:image/png;base64,'
+        f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(caption)}</figcaption>'
+        "</figure>"
+    )
 
 
-def _heading(manifests: dict[str, Manifest]) -> str:
-    first = next(iter(manifests.values()))
-    name = manifests["classify"]["inputs"][0]["name"] if "classify" in manifests else ""
-    return f"<h1>{html.escape(name)}</h1><p>Made by vorolight {first['tool_version']}.</p>"
-
-
-def _warnings(manifests: dict[str, Manifest], stale: Mapping[str, str]) -> str:
-    lines = [
-        f'<p class="warn"><b>{stage} is out of date</b>: {html.escape(reason)}</p>'
-        for stage, reason in stale.items()
-    ]
-    lines += [
-        f'<p class="warn">{stage}: {html.escape(text)}</p>'
-        for stage, manifest in manifests.items()
-        for text in manifest["warnings"]
-    ]
-    return "".join(lines)
-
-
-def _evaluation(name: str, manifest: Manifest) -> str:
-    metrics = {key: value for key, value in manifest["metrics"].items() if key != "of"}
-    return f"<h2>{name}</h2>" + _table([("figure", "value"), *_flat(metrics)])
-
-
-def _timings(manifests: dict[str, Manifest]) -> str:
-    rows: list[tuple[Any, ...]] = [("stage", "seconds", "CPU seconds", "peak MB")]
+def timings(manifests: Mapping[str, Manifest]) -> str:
+    """HTML of what the stages took."""
+    rows = []
     for name, manifest in manifests.items():
         volatile = manifest["volatile"]
-        rows.append(
-            (name, volatile["wall_seconds"], volatile["cpu_seconds"], volatile["peak_memory_mb"])
-        )
-    return "<h2>Time and memory</h2>" + _table(rows)
+        memory = volatile["peak_memory_mb"]
+        shown = "–" if memory is None else number(round(memory))
+        seconds = (f"{volatile[key]:.1f}" for key in ("wall_seconds", "cpu_seconds"))
+        rows.append((html.escape(name), *seconds, shown))
+    total = (
+        f"{sum(found['volatile'][key] for found in manifests.values()):.1f}"
+        for key in ("wall_seconds", "cpu_seconds")
+    )
+    rows.append(("together", *total, ""))
+    head = ("stage", "seconds", "CPU seconds", "peak memory, MB")
+    return f"<h2>Time and memory</h2>{table(head, rows, 'numbers')}"
+
+
+def told_to(manifest: Manifest) -> dict[str, Any]:
+    """All that a stage was told, and decides on its result."""
+    params: dict[str, Any] = manifest["params"]
+    return params | {key: manifest[key] for key in ("seed", "device", "backend")}
 
 
 def _details(name: str, manifest: Manifest) -> str:
-    rows = [("parameter", "value"), *_flat(manifest["params"])]
-    figures = "" if name.startswith("evaluate-") else _table(
-        [("figure", "value"), *_flat(manifest["metrics"])]
-    )  # fmt: skip
+    figures = ""
+    if not name.startswith("evaluate-"):
+        figures = "<h3>Figures</h3>" + facts(manifest["metrics"], ("histogram", "printability"))
     return (
-        f"<details><summary>{name}: <code>{html.escape(manifest['command'])}</code></summary>"
-        f"{_table(rows)}{figures}</details>"
-    )
-
-
-def _curves(folder: RunFolder, stage: str) -> str:
-    """The losses by iteration on a logarithmic scale, as one SVG."""
-    import numpy as np
-
-    history = folder.arrays(stage, stage)["history"]
-    names = {
-        "init": ("shape", "normal", "area", "centroid"),
-        "sphere-train": ("intersection", "exclusion", "shape", "normal"),
-    }[stage]
-    if len(history) < 2:
-        return ""
-    logs = np.log10(np.maximum(history, 1e-8))
-    low, high = np.floor(logs.min()), np.ceil(logs.max())
-    colors = ("#4477aa", "#cc6677", "#228833", "#aa7733")
-    lines = []
-    for k, name in enumerate(names):
-        x = np.linspace(60, 640, len(logs))
-        y = 20 + 200 * (high - logs[:, k]) / max(high - low, 1)
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
-        lines.append(
-            f'<polyline fill="none" stroke="{colors[k]}" points="{points}"/>'
-            f'<text x="650" y="{40 + 20 * k}" fill="{colors[k]}">{name}</text>'
-        )
-    scale = "".join(
-        f'<text x="5" y="{24 + 200 * (high - e) / max(high - low, 1):.0f}" fill="currentColor">'
-        f"1e{int(e)}</text>"
-        for e in np.arange(low, high + 1)
-    )
-    return (
-        f'<h2>Losses of {stage}</h2><svg viewBox="0 0 780 240" font-size="13" width="100%">'
-        f"{scale}{''.join(lines)}</svg>"
+        f"<details><summary>{html.escape(name)} <code>{html.escape(manifest['command'])}</code>"
+        f"</summary><h3>Parameters</h3>{facts(told_to(manifest), (), 'default')}"
+        f"{figures}</details>"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
@@ -17,7 +18,8 @@ PRINT = np.array([0.93, 0.90, 0.84])
 AZIMUTH = {"y": 60.0, "z": -60.0}
 
 
-def _up(folder: RunFolder) -> str:
+def up_of(folder: RunFolder) -> str:
+    """The axis, y or z, that is drawn upward."""
     stored = folder.manifest("classify")
     return up_axis(stored["inputs"][0]["path"]) if stored else "z"
 
@@ -36,35 +38,40 @@ def surfaces(folder: RunFolder, size: int = 480) -> Floats | None:
             continue
         mesh = PolygonMesh.from_arrays(folder.arrays(stage, stage), prefix)
         vertices, triangles, faces = fan_triangles(mesh)
-        view = _view(_up(folder))
+        view = _view(up_of(folder))
         panels.append(raster.shaded(vertices, triangles, faces, SURFACE, view, size, size))
     return np.concatenate(panels, axis=1) if panels else None
 
 
-def cutaway(folder: RunFolder, size: int = 480) -> Floats | None:
-    """The cells of the volume behind a plane through its middle; inner cells in another colour."""
-    if folder.manifest("volume") is None:
-        return None
+def cut_open(folder: RunFolder) -> tuple[PolygonMesh, NDArray[np.bool_], Ints, NDArray[np.bool_]]:
+    """The cells of the volume behind a plane through its middle: their outer faces, which of them
+    are turned inward, the cell of each, and whether that is an inner one."""
     arrays = folder.arrays("volume", "volume")
-    up = _up(folder)
-    view = _view(up)
+    up = up_of(folder)
     generator = arrays["generators"][arrays["cell_generator"]]
     inner = arrays["generator_role"][arrays["cell_generator"]] == 2
-    across = view.frame()[2].copy()
+    across = _view(up).frame()[2].copy()
     across["xyz".index(up)] = 0.0
     depth = generator @ across
     kept = depth < np.median(depth)
     owner, neighbour = arrays["face_owner"], arrays["face_neighbour"]
     beyond = (neighbour >= 0) & kept[neighbour]
     shown = kept[owner] != beyond
-    mesh = PolygonMesh.from_arrays(arrays).select_faces(shown)
     flip = ~kept[owner[shown]]
+    cell = np.where(flip, neighbour[shown], owner[shown])
+    return PolygonMesh.from_arrays(arrays).select_faces(shown), flip, cell, inner[cell]
+
+
+def cutaway(folder: RunFolder, size: int = 480) -> Floats | None:
+    """The cut volume; inner cells in another colour."""
+    if folder.manifest("volume") is None:
+        return None
+    mesh, flip, cell, inner = cut_open(folder)
     vertices, triangles, faces = fan_triangles(mesh)
     triangles = np.where(flip[faces, None], triangles[:, ::-1], triangles)
-    cell = np.where(flip, neighbour[shown], owner[shown])
-    colors = np.where(inner[cell][faces, None], INNER, SURFACE)
+    colors = np.where(inner[faces, None], INNER, SURFACE)
     # Outlined are cells, not faces.
-    return raster.shaded(vertices, triangles, cell[faces], colors, view, size, size)
+    return raster.shaded(vertices, triangles, cell[faces], colors, _view(up_of(folder)), size, size)
 
 
 def printed(folder: RunFolder) -> tuple[Floats, Ints]:

@@ -13,6 +13,7 @@ from ..artifacts.run_folder import RunFolder
 from ..render import image_file, raster
 from ..surface.polygons import Floats, Ints
 from .pictures import PRINT, printed
+from .tables import table
 
 SPOT = np.array([0.85, 0.2, 0.15])
 WINDOW, RADIUS = 12.0, 1.5
@@ -27,8 +28,7 @@ def section(folder: RunFolder, metrics: Mapping[str, Any]) -> str:
     vertices, triangles = printed(folder)
     for check in metrics["printability"]:
         rows.append(
-            f"<tr><td>{html.escape(check['name'])}</td><td><b>{check['verdict']}</b></td>"
-            f"<td>{html.escape(check['text'])}</td></tr>"
+            (html.escape(check["name"]), _said(check["verdict"]), html.escape(check["text"]))
         )
         if check["worst"] and check["name"] != "stability":
             below = check["name"] in FROM_BELOW
@@ -49,12 +49,17 @@ def section(folder: RunFolder, metrics: Mapping[str, Any]) -> str:
         )
         text += "".join(f"; {line}" for line in sliced["warnings"])
     verdict = "ok" if sliced else "not run"
-    rows.append(f"<tr><td>slicer</td><td><b>{verdict}</b></td><td>{html.escape(text)}</td></tr>")
+    rows.append(("slicer", _said(verdict), html.escape(text)))
     return (
-        '<h2>Printability</h2><div class="scroll"><table>'
-        f"<tr><th>check</th><th>verdict</th><th></th></tr>{''.join(rows)}</table></div>"
-        f'<div class="histograms">{"".join(figures)}</div>'
+        f"<h2>Printability</h2>{table(('check', 'verdict', 'found'), rows, 'words')}"
+        f'<div class="figures">{"".join(figures)}</div>'
     )
+
+
+def _said(verdict: str) -> str:
+    """A verdict in bold and, if it is one of ours, in its colour."""
+    colour = {"ok": "good", "warn": "doubt", "fail": "bad"}.get(verdict, "")
+    return f'<b class="{colour}">{html.escape(verdict)}</b>'
 
 
 def close_up(vertices: Floats, triangles: Ints, spot: Floats, below: bool) -> Floats:
