@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-lamps tables bench-images table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -98,6 +98,12 @@ COUNT ?= 300
 table-views: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/views.py --count $(COUNT) $(if $(MASKS),--masks-only) \
 		$(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Another method's published algorithm, beside what its own code reaches.
+METHOD ?= voromesh
+table-baseline: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/baseline.py --method $(METHOD) --seed $(SEED) \
+		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
 
 # Views as found: how well masks and pictures are met.
 table-photos: $(VENV)/installed

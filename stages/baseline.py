@@ -177,7 +177,7 @@ def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
 def _memory(context: Context) -> float:
     params = context.params
     count = params.samples or SAMPLES * params.grid**2
-    return peak(600.0, 400.0, 1.0, float(count))
+    return peak(600.0, 400.0, 0.5, float(count))
 
 
 STAGE = Stage(
