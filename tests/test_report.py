@@ -443,6 +443,7 @@ def test_large_surfaces_are_drawn_with_fewer_triangles(monkeypatch: pytest.Monke
 
 def test_numbers_are_written_to_be_read() -> None:
     assert tables.number(12345) == "12,345"
+    assert tables.number(10.0, 1) == "10"
     assert tables.number(-0.5) == "−0.5"
     assert tables.number(1.5e-7) == "1.5·10⁻⁷"
     assert tables.shown([1] * 9) == "9 entries"

@@ -45,6 +45,8 @@ def number(value: float, digits: int = 4) -> str:
     if isinstance(value, int):
         return f"{value:,}"
     text = f"{value:.{digits}g}"
+    if "e" in text and 1 <= abs(value) < 1e6:
+        return f"{value:,.0f}"
     if "e" in text:
         mantissa, _, power = text.partition("e")
         return f"{mantissa}·10{str(int(power)).translate(_RAISED)}"

@@ -442,7 +442,14 @@
 
   // ---- the view: panels, camera, controls
 
-  const shown = (value) => String(Number(value.toPrecision(3)));
+  /* A number to read, small and large ones with a power of ten. */
+  function shown(value) {
+    const size = Math.abs(value);
+    if (size === 0 || (size >= 1e-3 && size < 1e6)) return String(Number(value.toPrecision(3)));
+    const [mantissa, power] = value.toExponential(2).split('e');
+    const raised = [...power.replace('+', '')].map((c) => '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'['-0123456789'.indexOf(c)]);
+    return `${Number(mantissa)}·10${raised.join('')}`;
+  }
 
   class View {
     constructor(root, scene) {
