@@ -66,7 +66,8 @@ def first_generators(samples: Floats, grid: int) -> Floats:
 def box_of(points: Floats, grid: int) -> Ints:
     """Number of the box between grid nodes that each of ``points (N, 3)`` is in, or nearest to."""
     index = np.floor(0.5 * (points + 1.0) * (grid - 1)).astype(np.int64)
-    return np.ravel_multi_index(tuple(np.clip(index, 0, grid - 2).T), (grid - 1,) * 3)
+    index = np.clip(index, 0, grid - 2)
+    return np.asarray(np.ravel_multi_index(tuple(index.T), (grid - 1,) * 3))
 
 
 @compiled
@@ -184,9 +185,8 @@ def differentiable(
     generators: torch.Tensor, samples: Floats, grid: int, pool: ThreadPoolExecutor
 ) -> torch.Tensor:
     """``voro_loss`` as torch knows losses."""
-    result: torch.Tensor = _VoroLoss.apply(
-        generators, lambda places: voro_loss(places, samples, grid, pool)
-    )
+    apply: Any = _VoroLoss.apply
+    result: torch.Tensor = apply(generators, lambda places: voro_loss(places, samples, grid, pool))
     return result
 
 
