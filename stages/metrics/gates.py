@@ -77,10 +77,10 @@ class Defects:
         used = np.zeros(surface.vertex_count, dtype=bool)
         used[surface.face_vertices[keep[surface.corner_faces]]] = True
         part = surface.select_faces(keep).without_unused_vertices()
-        code = np.where(vertex_code > len(CODES), 0, vertex_code)[used]
+        near = np.where(vertex_code > len(CODES), 0, vertex_code)[used]
         return (
             part,
-            {"defect": code.astype(float), "vertex": np.flatnonzero(used).astype(float)},
+            {"defect": near.astype(float), "vertex": np.flatnonzero(used).astype(float)},
             {"defect": face_code[keep].astype(float), "face": np.flatnonzero(keep).astype(float)},
         )
 

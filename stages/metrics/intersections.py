@@ -166,7 +166,7 @@ def _inward(vertices: Floats, start: int, end: int, normal: Floats, x: Floats) -
         left -= normal[k] * (vertices[end, j] - vertices[start, j])
         total += (x[i] - vertices[start, i]) * left
         length += (vertices[end, i] - vertices[start, i]) ** 2
-    return total / np.sqrt(length)
+    return float(total / np.sqrt(length))
 
 
 @compiled

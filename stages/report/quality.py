@@ -21,6 +21,7 @@ FIGURES = (
     ("curvature.mean", "mean |H|", "reference_curvature.mean", 1),
     ("curvature.median", "median |H|", "reference_curvature.median", 1),
     ("curvature.p95", "95th percentile of |H|", "reference_curvature.p95", 1),
+    ("resampled_curvature.mean", "mean |H|, evenly resampled", "reference_curvature.mean", 1),
     ("dihedral_mean_curvature", "mean curvature by dihedral angles", "reference_dihedral", 1),
     ("sdf_loss", "mean |F|", 0.0, 1),
     ("mask_overlap.mean", "overlap with masks, mean", 1.0, 1),
