@@ -5,7 +5,7 @@ longest side 1; PEER holds what the method's own code reaches on them under ``ru
 ``surface_polygons``, ``surface_cd2_x1e3``, ``normal_consistency``, ``euler``, ``generators``.
 
 Where a shape has tips thinner than a grid box (homer's fingers, cheburashka's thumbs), it depends
-on the seed which of them are lost, and surface CD^2 changes up to twofold between two seeds.
+on the seed which of them are lost, and surface CD^2 changes up to fivefold between two seeds.
 """
 
 from __future__ import annotations
