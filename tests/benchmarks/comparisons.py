@@ -33,7 +33,7 @@ def fields(given: Settings) -> str:
         }
 
         def before(name: str = name) -> dict[str, Any]:
-            run = started(given, name, f"{name}-{given.n}", given.n)
+            run = started(given, name, f"field-{name}-{given.n}", given.n)
             return evaluated(given, run, "init")
 
         found = attempt(f"fields: {name}, before", before)
@@ -45,7 +45,7 @@ def fields(given: Settings) -> str:
         ):  # fmt: skip
 
             def after(name: str = name, way: str = way, words: Any = words) -> dict[str, Any]:
-                run = trained(given, name, name, given.n, way, *words)
+                run = trained(given, name, f"field-{name}", given.n, way, *words)
                 return evaluated(given, run, "sphere-train")
 
             found = attempt(f"fields: {name}, {way}", after)

@@ -193,9 +193,10 @@ def pipeline(given: Settings) -> str:
     lines, labels = [], []
     for source in ("heart", "cube-cavity", given.meshes[0]):
         label = Path(source).stem
+        name = label if isinstance(source, Path) else f"field-{label}"
 
-        def drawn(source: Any = source, label: str = label) -> list[np.ndarray]:
-            run = trained(given, source, label, given.n, "polygon", *POLYGON)
+        def drawn(source: Any = source, name: str = name) -> list[np.ndarray]:
+            run = trained(given, source, name, given.n, "polygon", *POLYGON)
             cli("volume", "--inner", given.inner[1], "--run", run)
             return [
                 panels.field_slice(run, given.panel),
