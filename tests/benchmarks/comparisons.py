@@ -91,10 +91,13 @@ def meshes(given: Settings) -> str:
         cd2, f1, mean, median, p95 = paper.MESHES[way]
         rows.append(
             [title, "paper", f"{cd2[0]} ± {cd2[1]}", f"{f1[0]} ± {f1[1]}",
-             f"{mean[0]:.4g} ± {mean[1]:.4g}", f"{median:.4g}", f"{p95:.4g}", "", "", "", ""]
+             f"{mean[0]:.4g} ± {mean[1]:.4g}", f"{median:.4g}", f"{p95:.4g}", "", "", "", "", ""]
         )  # fmt: skip
         good = [each for each in found[way].values() if not isinstance(each, str)]
-        columns = {key: [each[key] for each in good if each[key] is not None] for key in COLUMNS}
+        columns = {
+            key: [each[key] for each in good if each[key] is not None] or [np.nan]
+            for key in COLUMNS
+        }
         if good:
             rows.append(
                 [title, f"ours ({len(good)})", *(spread(columns[key], ".3g")
@@ -102,13 +105,13 @@ def meshes(given: Settings) -> str:
                  for key in COLUMNS)]
             )  # fmt: skip
     head = ["", "", "CD^2 x 1e3", "F1@.01", "mean \\|H\\|", "median \\|H\\|", "P95 \\|H\\|",
-            "surface CD^2 x 1e3", "normals", "even mean \\|H\\|", "dihedral H / truth"]  # fmt: skip
+            "valid", "surface CD^2 x 1e3", "normals", "even mean \\|H\\|", "dihedral H / truth"]  # fmt: skip
     by_shape = []
     for path in given.meshes:
         for way, title in ways.items():
             each = found[way][path.stem]
             if isinstance(each, str):
-                by_shape.append([path.stem, title, each, *[""] * 9])
+                by_shape.append([path.stem, title, each, *[""] * 12])
                 continue
             by_shape.append(
                 [path.stem, title, *(number(each[key]) for key in COLUMNS),
@@ -119,8 +122,10 @@ def meshes(given: Settings) -> str:
         + "\n\nLengths are in units of the bounding box's diagonal, so |H| is times the diagonal. "
         "Two samplings of one surface have a CD^2 of the sampling floor, "
         f"{_floors(found)} here; the surface CD^2 is from samples to the other surface and has no "
-        "floor. |H| as in the appendix depends on how many vertices lie within the radius (twice "
-        "the median edge of the input): the even one is of the surface divided to that edge. "
+        "floor. |H| as in the appendix is of the vertices with at least 8 others within twice the "
+        "median edge of the input, a share (valid) that falls to nothing where the input is much "
+        "finer than the surface: with few of them it says nothing. The even one is of the surface "
+        "divided to that edge. "
         "Smooth is a dihedral H as large as the truth's, not zero. Polygons here are the written "
         "diagram's faces, slivers merged.\n\n"
         + table(
@@ -138,7 +143,9 @@ def meshes(given: Settings) -> str:
     )
 
 
-COLUMNS = ("cd2", "f1", "mean", "median", "p95", "surface_cd2", "normals", "even", "dihedral")
+COLUMNS = (
+    "cd2", "f1", "mean", "median", "p95", "valid", "surface_cd2", "normals", "even", "dihedral"
+)  # fmt: skip
 
 
 def _mesh(given: Settings, path: Path, way: str) -> dict[str, Any]:
@@ -158,11 +165,12 @@ def _mesh(given: Settings, path: Path, way: str) -> dict[str, Any]:
         "floor": 1e3 * found["chamfer"]["sampling_floor"],
         "f1": found["chamfer"]["f1"],
         **{key: size * bent[key] if key in bent else None for key in ("mean", "median", "p95")},
+        "valid": bent.get("valid_share", 0.0),
         "surface_cd2": 1e3 * found["fidelity"]["surface_cd2"],
         "normals": found["fidelity"]["normal_consistency"],
         "even": size * even["mean"] if even else None,
         "dihedral": found["dihedral_mean_curvature"] / found["reference_dihedral"],
-        "certificate": {True: "holds", False: "fails", None: "-"}[
+        "certificate": {True: "holds", False: "none", None: "-"}[
             found.get("certificate", {}).get("holds")
         ],
         "faces": found["topology"]["faces"],
