@@ -31,7 +31,7 @@ class Settings:
     noise: tuple[float, ...] = paper.NOISE
     noise_n: int = 15
     noise_shapes: int = 2
-    shape_weights: tuple[float, ...] = (10.0, 100.0, 1000.0)
+    shape_weights: tuple[float, ...] = (10.0, 100.0)
     normal_weights: tuple[float, ...] = (0.0, 10.0)
     resolutions: tuple[int, ...] = paper.RESOLUTIONS
     inner: tuple[int, ...] = paper.INNER

@@ -68,12 +68,13 @@ def main() -> None:
     given = Settings(asked.work, asked.output.parent, chosen)
     if asked.quick:
         given = quick(given)
-    # Parts that were made of other meshes, or otherwise, are no parts of this page.
     kept = asked.work / "texts.json"
-    stored = json.loads(kept.read_text()) if kept.is_file() else {}
-    texts: dict[str, str] = stored["texts"] if stored.get("settings") == str(given) else {}
     for name in asked.only or PARTS:
-        texts[name] = PARTS[name][1](given)
+        text = PARTS[name][1](given)
+        # Parts that were made of other meshes, or otherwise, are no parts of this page.
+        stored = json.loads(kept.read_text()) if kept.is_file() else {}
+        texts = stored["texts"] if stored.get("settings") == str(given) else {}
+        texts[name] = text
         kept.write_text(json.dumps({"settings": str(given), "texts": texts}))
         asked.output.parent.mkdir(parents=True, exist_ok=True)
         asked.output.write_text(page(texts, given))
