@@ -346,7 +346,7 @@ def _memory(context: Context) -> float:
         # The volume's surface is the trained one's.
         of = "sphere-train" if params.of == "volume" else params.of
         corners = len(context.arrays(of)["surface/face_vertices"])
-    return peak(350.0, 210.0 + 1e-4 * samples, 6.0, corners)
+    return peak(500.0, 300.0 + 1e-4 * samples, 6.0, corners)
 
 
 STAGE = Stage(
