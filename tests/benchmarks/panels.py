@@ -20,20 +20,25 @@ CAPTION = 22
 """Height of a line of words in pixels."""
 
 
-def surface(run: Path, stage: str, size: int, prefix: str = "surface/") -> np.ndarray:
-    """The surface of a stage with its edges ``(size, size, 3)``."""
+def surface(
+    run: Path, stage: str, size: int, prefix: str = "surface/", shape: Path | None = None
+) -> np.ndarray:
+    """The surface of a stage with its edges ``(size, size, 3)``, upright like ``shape``, by default
+    like the input."""
     folder = RunFolder(run)
     vertices, triangles, faces = fan_triangles(
         PolygonMesh.from_arrays(folder.arrays(stage, stage), prefix)
     )
-    return raster.shaded(vertices, triangles, faces, pictures.SURFACE, view(folder), size, size)
+    return raster.shaded(
+        vertices, triangles, faces, pictures.SURFACE, view(folder, shape), size, size
+    )
 
 
-def view(folder: RunFolder) -> raster.View:
+def view(folder: RunFolder, shape: Path | None) -> raster.View:
     """As the report looks at it."""
     stored = folder.manifest("classify")
     assert stored is not None
-    up = up_axis(stored["inputs"][0]["path"])
+    up = up_axis(stored["inputs"][0]["path"] if shape is None else str(shape))
     return raster.view(up, pictures.AZIMUTH[up])
 
 

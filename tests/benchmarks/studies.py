@@ -56,7 +56,7 @@ def noise(given: Settings) -> str:
             rows.append(row + [_noisy(pictured[sigma, way]) for way in ways])
         head = ["noise", "VoroMesh", *(f"shape {s:g}, normal {w:g}" for s, w in ways)]
         picture = panels.grid(
-            [[_panel(pictured[sigma, way], 2 * given.panel // 3) for sigma in given.noise]
+            [[_panel(pictured[sigma, way], 2 * given.panel // 3, path) for sigma in given.noise]
              for way in [None, *ways]],
             [f"{sigma:g} % of the diagonal" for sigma in given.noise],
             ["VoroMesh", *(f"weight of shape {s:g}, of normals {w:g}" for s, w in ways)],
@@ -106,11 +106,11 @@ def _noisy(found: Any) -> str:
     )
 
 
-def _panel(found: Any, size: int) -> np.ndarray:
+def _panel(found: Any, size: int, shape: Path) -> np.ndarray:
     if isinstance(found, str):
         return panels.empty(size)
     of = "baseline" if found["of"] == "baseline" else "sphere-train"
-    return panels.surface(found["run"], of, size)
+    return panels.surface(found["run"], of, size, shape=shape)
 
 
 def resolutions(given: Settings) -> str:
@@ -127,7 +127,7 @@ def resolutions(given: Settings) -> str:
                 return evaluated(given, run, "sphere-train") | {"run": run, "cpu": seconds}
 
             found = attempt(f"resolutions: {path.stem}, n = {n}", measured)
-            line.append(_panel(found, given.panel))
+            line.append(_panel(found, given.panel, path))
             if isinstance(found, str):
                 rows.append([path.stem, n, found, *[""] * 6])
                 continue
