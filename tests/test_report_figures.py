@@ -1,0 +1,58 @@
+"""What the report draws and writes, without a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import sphere_mesh
+
+from vorolight.stages.artifacts.hdf5 import decode
+from vorolight.stages.report import comparison, simplify, surfaces, tables
+from vorolight.stages.surface.topology import topology
+
+
+def test_residuals_are_those_of_the_training(
+    heart_run: Path, manifest: Callable[[str], dict[str, Any]]
+) -> None:
+    arrays = decode(heart_run / "sphere-train.h5", "sphere-train")[0]
+    found = surfaces.residuals(arrays, float(manifest("classify")["metrics"]["spacing"]))
+    valences = np.diff(arrays["trained/face_offsets"])
+    whole = np.sqrt((found**2 * valences).sum() / valences.sum())
+    recorded = manifest("sphere-train")["metrics"]["conformity"]["residual_rms"]
+    # Of a certified surface both are rounding.
+    assert whole == pytest.approx(recorded, rel=1e-3, abs=1e-10)
+
+
+def test_voxels_are_bounded_by_squares() -> None:
+    interior = np.zeros((3, 4, 5), dtype=bool)
+    interior[1, 1:3, 1:4] = True
+    mesh = simplify.voxel_surface(interior)
+    facts = topology(mesh)
+    assert facts.closed
+    assert (facts.faces, facts.euler_number) == (2 * (2 * 3 + 2 + 3), 2)
+    assert mesh.vertices.min(axis=0).tolist() == [1, 1, 1]
+    assert mesh.vertices.max(axis=0).tolist() == [2, 3, 4]
+
+
+def test_large_surfaces_are_drawn_with_fewer_triangles(monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, triangles = sphere_mesh(level=4)
+    monkeypatch.setattr(simplify, "TRIANGLES", 1000)
+    for fewer in (simplify.simplified(vertices, triangles, 1e-4),
+                  simplify.clustered(vertices, triangles)):  # fmt: skip
+        assert 300 < len(fewer[1]) <= 1000
+        assert np.abs(np.linalg.norm(fewer[0], axis=1) - 1).max() < 0.05
+
+
+def test_numbers_are_written_to_be_read() -> None:
+    assert tables.number(12345) == "12,345"
+    assert tables.number(10.0, 1) == "10"
+    assert tables.number(-0.5) == "−0.5"
+    assert tables.number(1.5e-7) == "1.5·10⁻⁷"
+    assert tables.shown([1] * 9) == "9 entries"
+    assert tables.shown(None, "default") == "default"
+    assert comparison.best([1.0, 0.5, None], 0.0) == [False, True, False]
+    assert comparison.best([1.0, 1.0], 0.0) == [False, False]
