@@ -6,11 +6,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..surface.geometry import enclosed_volume, fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import edge_keys, pinched_vertices, topology
+from ..surface.topology import (
+    CROWDED,
+    OPEN,
+    TURNED,
+    edge_faults,
+    edge_keys,
+    pinched_vertices,
+    topology,
+)
 from .intersections import DEPTH, self_intersections
 
 NAMED = 20
@@ -87,21 +94,12 @@ class Defects:
 
 def defects(mesh: PolygonMesh) -> Defects:
     """Find them. Faces with more than three corners are taken as fans about their centroids."""
-    keys, forward = edge_keys(mesh)
-    unique, inverse = np.unique(keys, return_inverse=True)
-    uses = np.bincount(inverse, minlength=len(unique))
-    ahead = np.bincount(inverse, forward, minlength=len(unique))
-    loop = np.zeros(len(unique), dtype=bool)
-    loop[inverse[mesh.face_vertices == mesh.next_vertices]] = True
-
-    def chosen(where: NDArray[np.bool_]) -> Ints:
-        return np.stack(np.divmod(unique[where], max(mesh.vertex_count, 1)), axis=1)
-
+    edges, fault = edge_faults(mesh)
     vertices, triangles, face = fan_triangles(mesh)
     return Defects(
-        open_edges=chosen((uses == 1) & ~loop),
-        crowded_edges=chosen((uses > 2) | loop),
-        turned_edges=chosen((uses == 2) & (ahead != 1) & ~loop),
+        open_edges=edges[fault == OPEN],
+        crowded_edges=edges[fault == CROWDED],
+        turned_edges=edges[fault == TURNED],
         pinched_vertices=pinched_vertices(mesh),
         crossing_faces=np.unique(face[self_intersections(vertices, triangles)], axis=0),
     )

@@ -23,16 +23,28 @@ def edges(mesh: PolygonMesh) -> Ints:
     return np.stack(np.divmod(keys, max(mesh.vertex_count, 1)), axis=1)
 
 
-def bad_edges(mesh: PolygonMesh) -> Ints:
-    """Edges ``(B, 2)`` that are not in exactly two faces with opposite directions."""
+OPEN, CROWDED, TURNED = 1, 2, 3
+"""What is wrong with an edge: it is in one face only; in more than two, or from a vertex to itself;
+in two faces that go along it the same way."""
+
+
+def edge_faults(mesh: PolygonMesh) -> tuple[Ints, Ints]:
+    """The undirected edges ``(E, 2)``, and what is wrong with each ``(E,)``, 0 for nothing."""
     keys, forward = edge_keys(mesh)
     unique, inverse = np.unique(keys, return_inverse=True)
     uses = np.bincount(inverse, minlength=len(unique))
     ahead = np.bincount(inverse, forward, minlength=len(unique))
-    loop = np.zeros(len(unique), dtype=bool)
-    loop[inverse[mesh.face_vertices == mesh.next_vertices]] = True
-    bad = unique[(uses != 2) | (ahead != 1) | loop]
-    return np.stack(np.divmod(bad, max(mesh.vertex_count, 1)), axis=1)
+    fault = np.where(ahead == 1, 0, TURNED)
+    fault[uses == 1] = OPEN
+    fault[uses > 2] = CROWDED
+    fault[inverse[mesh.face_vertices == mesh.next_vertices]] = CROWDED
+    return np.stack(np.divmod(unique, max(mesh.vertex_count, 1)), axis=1), fault
+
+
+def bad_edges(mesh: PolygonMesh) -> Ints:
+    """Edges ``(B, 2)`` that are not in exactly two faces with opposite directions."""
+    found, fault = edge_faults(mesh)
+    return found[fault > 0]
 
 
 def face_neighbours(mesh: PolygonMesh) -> Ints:
