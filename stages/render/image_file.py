@@ -5,27 +5,31 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import BackendMissing, InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
 
 FRAME_MS = 70
 """Of an animation."""
+HEIF = (".heic", ".heif")
+"""Endings of the pictures that phones take, which Pillow alone does not read."""
 
 
 def read(path: Path) -> NDArray[np.uint8]:
     """The picture at ``path``, ``(H, W)`` grey, ``(H, W, 3)`` or, with alpha, ``(H, W, 4)``.
 
-    Raises InputError when it is missing or cannot be read.
+    Raises InputError when it is missing or cannot be read, BackendMissing as ``_open`` does.
     """
     from PIL import Image, UnidentifiedImageError
 
-    if not path.is_file():
-        raise InputError(f"{path}: this picture is missing; put it back, or take its view out")
     try:
-        with Image.open(path) as opened:
+        with _open(path) as opened:
             opened.load()
             if opened.mode in ("1", "L"):
                 mode = "L"
@@ -43,14 +47,31 @@ def read(path: Path) -> NDArray[np.uint8]:
         raise InputError(f"{path}: is too large a picture; scale it down") from error
 
 
-def size(path: Path) -> tuple[int, int]:
-    """Width and height of the picture at ``path``, by its header. Raises InputError."""
-    from PIL import Image, UnidentifiedImageError
+def _open(path: Path) -> Picture:
+    """Raises InputError when there is no file, BackendMissing for HEIC without its library."""
+    from PIL import Image
 
     if not path.is_file():
         raise InputError(f"{path}: this picture is missing; put it back, or take its view out")
+    if path.suffix.lower() in HEIF:
+        try:
+            # Its wheels only decode: those of pillow-heif carry an encoder under the GPL.
+            import pi_heif
+        except ImportError:
+            raise BackendMissing(
+                f"{path}: HEIC pictures need a library that is not installed; type: "
+                "pip install 'vorolight[images]'"
+            ) from None
+        pi_heif.register_heif_opener()
+    return Image.open(path)
+
+
+def size(path: Path) -> tuple[int, int]:
+    """Width and height of the picture at ``path``, by its header. Raises as ``read`` does."""
+    from PIL import UnidentifiedImageError
+
     try:
-        with Image.open(path) as opened:
+        with _open(path) as opened:
             return opened.size
     except (OSError, ValueError, SyntaxError, UnidentifiedImageError) as error:
         raise InputError(f"{path}: not a readable picture") from error

@@ -21,7 +21,7 @@ from . import colmap
 SPACES = ("world", "opencv", "opengl")
 """Axes in which normal maps may be: the object's, or the camera's with y down and z forward, or
 with y up and z back."""
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif")
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 LENSES = ("k1", "k2", "k3", "k4", "p1", "p2")
 SLIGHT = 1e-9
