@@ -26,6 +26,7 @@ from .console import Console, table
 from .export import export
 from .gating import gating
 from .parameters import Function, add_options, build, parameter_names
+from .sbatch import sbatch
 from .session import (
     Common,
     Field,
@@ -323,6 +324,7 @@ app.command()(guarded(compare))
 app.command()(guarded(export))
 app.command()(guarded(views))
 app.command()(guarded(from_image))
+app.command()(guarded(sbatch))
 
 
 def _version(wanted: bool) -> None:
