@@ -12,6 +12,9 @@ from typing import Any
 
 import numpy as np
 
+TINY = 1e-300
+"""Less than any length; what must be positive is no less."""
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -22,6 +25,13 @@ class Layout:
     """f: float64, i: integer, b: bool."""
     meaning: str
     optional: bool = False
+    into: str | None = None
+    """Of indices: the letter of the size of what they point into."""
+    least: float | None = None
+    """What no value is less than; 0 for indices."""
+    most: float | None = None
+    undefined: bool = False
+    """Whether nan may stand where there is no value."""
 
 
 def _polygons(prefix: str, letter: str, meaning: str) -> dict[str, Layout]:
@@ -29,21 +39,21 @@ def _polygons(prefix: str, letter: str, meaning: str) -> dict[str, Layout]:
     return {
         f"{prefix}vertices": Layout((vertices, 3), "f", f"{meaning}: vertices"),
         f"{prefix}face_offsets": Layout((f"{faces}+1",), "i", "corners of face f: [f] to [f + 1]"),
-        f"{prefix}face_vertices": Layout((corners,), "i", "vertex of each corner"),
+        f"{prefix}face_vertices": Layout((corners,), "i", "vertex of each corner", into=vertices),
     }
 
 
 LAYOUTS: dict[str, dict[str, Layout]] = {
     "classify": {
         "origin": Layout((3,), "f", "lower corner of voxel (0, 0, 0)"),
-        "spacing": Layout((), "f", "h0, edge of a voxel"),
+        "spacing": Layout((), "f", "h0, edge of a voxel", least=TINY),
         "interior": Layout(("X", "Y", "Z"), "b", "M_in"),
         "exterior": Layout(("X", "Y", "Z"), "b", "M_ext, the band outside"),
         "source/vertices": Layout(
             ("Vp", 3), "f", "of the surface made of the input", optional=True
         ),
         "source/triangles": Layout(
-            ("Tp", 3), "i", "of the surface made of the input", optional=True
+            ("Tp", 3), "i", "of the surface made of the input", optional=True, into="Vp"
         ),
         "source/kept": Layout(("P",), "b", "points that do not lie out", optional=True),
         "source/noise": Layout((), "f", "standard deviation of the points", optional=True),
@@ -57,30 +67,33 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
     "init": {
         "generators": Layout(("N", 3), "f", "generators"),
         "generator_inside": Layout(("N",), "b", "label of each generator"),
-        "spacing": Layout(("N",), "f", "local spacing at each generator"),
+        "spacing": Layout(("N",), "f", "local spacing at each generator", least=TINY),
         "history": Layout(("I", 4), "f", "shape, normal, area, centroid loss by iteration"),
         **_polygons("surface/", "s", "initial Voronoi surface"),
-        "surface/face_generators": Layout(("Fs", 2), "i", "inside and outside generator"),
+        "surface/face_generators": Layout(("Fs", 2), "i", "inside and outside generator", into="N"),
     },
     "baseline": {
         "generators": Layout(("N", 3), "f", "generators; the last eight bound the diagram"),
         "generator_inside": Layout(("N",), "b", "label of each generator"),
         "history": Layout(("I", 1), "f", "loss by epoch, squared and in the method's own frame"),
         **_polygons("surface/", "s", "interface of the generators' diagram"),
-        "surface/face_generators": Layout(("Fs", 2), "i", "inside and outside generator"),
+        "surface/face_generators": Layout(("Fs", 2), "i", "inside and outside generator", into="N"),
     },
     "sphere-train": {
         "spheres/center": Layout(("Vt", 3), "f", "c_v"),
-        "spheres/radius": Layout(("Vt",), "f", "r_v"),
+        "spheres/radius": Layout(("Vt",), "f", "r_v", least=0.0),
         **_polygons("trained/", "t", "polygons over the sphere centres"),
         "trained/offset": Layout(("Ft",), "f", "delta_f"),
         "generators/inside": Layout(("Ft", 3), "f", "inside generator of each trained face"),
         "generators/outside": Layout(("Ft", 3), "f", "outside generator of each trained face"),
-        "spacing": Layout(("Ft",), "f", "local spacing at each trained face"),
+        "spacing": Layout(("Ft",), "f", "local spacing at each trained face", least=TINY),
         "history": Layout(("I", 4), "f", "intersection, exclusion, shape, smoothness by step"),
         **_polygons("surface/", "s", "the output: interface of the real diagram"),
         "surface/face_generators": Layout(
-            ("Fs", 2), "i", "trained face whose inside, whose outside generator bounds it"
+            ("Fs", 2),
+            "i",
+            "trained face whose inside, whose outside generator bounds it",
+            into="Ft",
         ),
     },
     "shade": {
@@ -110,61 +123,85 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
     },
     "volume": {
         "generators": Layout(("N", 3), "f", "generators"),
-        "generator_role": Layout(("N",), "i", "0 outside, 1 surface, 2 inner"),
+        "generator_role": Layout(("N",), "i", "0 outside, 1 surface, 2 inner", least=0, most=2),
         **_polygons("", "v", "cells; the surface's own ones first"),
         "face_owner": Layout(
-            ("Fv",), "i", "cell the face's normal leaves; sorted, faces of the surface last"
+            ("Fv",),
+            "i",
+            "cell the face's normal leaves; sorted, faces of the surface last",
+            into="C",
         ),
-        "face_neighbour": Layout(("Fv",), "i", "cell on the other side, -1 outside"),
-        "cell_generator": Layout(("C",), "i", "generator of each cell"),
+        "face_neighbour": Layout(
+            ("Fv",), "i", "cell on the other side, -1 outside", into="C", least=-1
+        ),
+        "cell_generator": Layout(("C",), "i", "generator of each cell", into="N"),
         "cell_volume": Layout(("C",), "f", "volume of each cell"),
         "history": Layout(("I",), "f", "CVT loss by iteration"),
     },
     "evaluate": {
         **_polygons("surface/", "s", "the surface that was measured"),
         "vertex_distance": Layout(("Vs",), "f", "distance to the nearest reference sample"),
-        "mean_curvature": Layout(("Vs",), "f", "|H|, nan without a valid fit"),
+        "mean_curvature": Layout(("Vs",), "f", "|H|, nan without a valid fit", undefined=True),
     },
     "fabricate": {
         "nodes": Layout(("K", 3), "f", "ends of tube axes, millimetres"),
-        "tubes": Layout(("E", 2), "i", "nodes of each tube"),
-        "radii": Layout(("K",), "f", "tube radius at each node, millimetres"),
-        "plates": Layout(("P",), "i", "faces that became plates"),
+        "tubes": Layout(("E", 2), "i", "nodes of each tube", into="K"),
+        "radii": Layout(("K",), "f", "tube radius at each node, millimetres", least=0.0),
+        "plates": Layout(("P",), "i", "faces that became plates", least=0),
         "mm_from_input": Layout((4, 4), "f", "maps the input's coordinates to millimetres"),
     },
 }
 
 
+def check_shapes(
+    layout: Mapping[str, Layout], shapes: Mapping[str, tuple[int, ...]]
+) -> dict[str, int]:
+    """The sizes that the letters stand for. Raises ValueError unless the arrays are all there and
+    their ``shapes`` fit."""
+    sizes: dict[str, int] = {}
+    for name, wanted in layout.items():
+        if name not in shapes:
+            if wanted.optional:
+                continue
+            raise ValueError(f"array {name} is missing")
+        shape = shapes[name]
+        if len(shape) != len(wanted.shape):
+            raise ValueError(f"array {name} has {len(shape)} dimensions")
+        for size, dimension in zip(shape, wanted.shape, strict=True):
+            needed = dimension
+            if isinstance(dimension, str):
+                letter, _, more = dimension.partition("+")
+                needed = sizes.setdefault(letter, size - int(more or 0)) + int(more or 0)
+            if size != needed or (isinstance(dimension, str) and sizes[letter] < 0):
+                raise ValueError(f"array {name} has shape {shape}")
+    return sizes
+
+
 def check(stage: str, arrays: Mapping[str, Any]) -> None:
     """Raise ValueError unless ``arrays`` are laid out as ``stage`` says; more arrays may be there.
 
-    Integers that index another array are checked to be in range.
+    Indices are checked to be in range, and numbers to be finite and no less than they may be.
     """
-    sizes: dict[str, int] = {}
-    for name, layout in LAYOUTS[stage].items():
-        if name not in arrays:
-            if layout.optional:
-                continue
-            raise ValueError(f"array {name} is missing")
-        array = np.asarray(arrays[name])
-        if array.dtype.kind not in {"f": "f", "i": "iu", "b": "b"}[layout.kind]:
+    layout = LAYOUTS[stage]
+    found = {name: np.asarray(arrays[name]) for name in layout if name in arrays}
+    sizes = check_shapes(layout, {name: array.shape for name, array in found.items()})
+    for name, array in found.items():
+        wanted = layout[name]
+        if array.dtype.kind not in {"f": "f", "i": "iu", "b": "b"}[wanted.kind]:
             raise ValueError(f"array {name} holds {array.dtype}")
-        if array.ndim != len(layout.shape):
-            raise ValueError(f"array {name} has {array.ndim} dimensions")
-        for size, dimension in zip(array.shape, layout.shape, strict=True):
-            wanted = dimension
-            if isinstance(dimension, str):
-                letter, _, more = dimension.partition("+")
-                wanted = sizes.setdefault(letter, size - int(more or 0)) + int(more or 0)
-            if size != wanted:
-                raise ValueError(f"array {name} has shape {array.shape}")
-    for name in LAYOUTS[stage]:
-        if not name.endswith("face_offsets"):
+        if array.size == 0 or wanted.kind == "b":
             continue
-        prefix = name[: -len("face_offsets")]
-        offsets, corners = np.asarray(arrays[name]), np.asarray(arrays[prefix + "face_vertices"])
-        if offsets[0] != 0 or offsets[-1] != len(corners) or (np.diff(offsets) < 0).any():
-            raise ValueError(f"array {name} is no row index")
-        count = len(arrays[prefix + "vertices"])
-        if len(corners) and (corners.min() < 0 or corners.max() >= count):
-            raise ValueError(f"array {prefix}face_vertices names a vertex that is not there")
+        values = array[~np.isnan(array)] if wanted.undefined else array
+        if not np.isfinite(values).all():
+            raise ValueError(f"array {name} holds values that are not finite")
+        least = 0 if wanted.into is not None and wanted.least is None else wanted.least
+        most = wanted.most if wanted.into is None else sizes[wanted.into] - 1
+        low, high = (values.min(), values.max()) if values.size else (0, 0)
+        if (least is not None and low < least) or (most is not None and high > most):
+            said = "names a row that is not there" if wanted.into else "is out of range"
+            raise ValueError(f"array {name} {said} ({low} to {high})")
+    for name, offsets in found.items():
+        if name.endswith("face_offsets"):
+            corners = found[name[: -len("face_offsets")] + "face_vertices"]
+            if offsets[0] != 0 or offsets[-1] != len(corners) or (np.diff(offsets) < 0).any():
+                raise ValueError(f"array {name} is no row index")

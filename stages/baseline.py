@@ -83,7 +83,7 @@ def run(context: Context) -> Outcome:
             losses,
             {"voronoi": 1.0},
             Schedule(
-                params.epochs, params.learning_rate, "halving", 50, halvings=voromesh.MILESTONES
+                params.epochs, params.learning_rate, "halving", 10, halvings=voromesh.MILESTONES
             ),
             context.checkpoints,
             context.progress,

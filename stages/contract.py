@@ -215,6 +215,8 @@ class Progress(Protocol):
 
     def note(self, text: str) -> None: ...
 
+    def detail(self, text: str) -> None: ...
+
 
 class Silent:
     """Progress that goes nowhere."""
@@ -229,6 +231,9 @@ class Silent:
         pass
 
     def note(self, text: str) -> None:
+        pass
+
+    def detail(self, text: str) -> None:
         pass
 
 

@@ -49,3 +49,9 @@ class Locked(VorolightError):
     """Another process works on the run folder."""
 
     exit_code = 75
+
+
+class Stopped(VorolightError):
+    """Stopped where the same command goes on, because it was asked to."""
+
+    exit_code = 85

@@ -6,6 +6,7 @@ import shlex
 import shutil
 import socket
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
@@ -15,7 +16,7 @@ from typing import Any
 from vorolight import schemas
 
 from . import memory
-from .artifacts import atomic, fingerprint, lock, manifest, randomness
+from .artifacts import atomic, fingerprint, lock, log, manifest, randomness, requeue
 from .artifacts.run_folder import RunFolder
 from .contract import Context, Params, Stage, options
 from .errors import ArtifactError, BackendMissing, InputError, UsageError
@@ -47,6 +48,7 @@ def execute(session: Session, name: str, params: Params) -> Result:
     Raises ArtifactError when a parent is missing or stale, and whatever the stage raises. Nothing
     is left of a stage that failed but its checkpoints; an older result of it stays.
     """
+    requeue.stop_if_asked()
     check_same_input(session.folder, session.input)
     _check_device(session.device)
     stage = get(name)
@@ -73,10 +75,17 @@ def execute(session: Session, name: str, params: Params) -> Result:
             now = state(session, name, params)
             written = _run(session, stage, params, now, source, sources, notes)
     finally:
-        for folder in created:
-            if not any(folder.iterdir()):
-                folder.rmdir()
+        _remove_unused(session.folder, created)
     return Result(written, ran=True, reason=now.reason)
+
+
+def _remove_unused(run: RunFolder, created: list[Path]) -> None:
+    """Remove folders that were ``created`` for a stage that left nothing but a log."""
+    if run.path in created and {entry.name for entry in run.path.iterdir()} <= {log.FOLDER}:
+        shutil.rmtree(run.path / log.FOLDER, ignore_errors=True)
+    for folder in created:
+        if not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _standing(session: Session, stage: Stage, params: Params) -> Result | None:
@@ -92,7 +101,8 @@ def _standing(session: Session, stage: Stage, params: Params) -> Result | None:
     if not now.done or session.force or now.manifest is None:
         return None
     if session.touch:
-        atomic.touch(session.folder.file(stage.stem_of(params), "json"))
+        before = [session.folder.file(parent, "json") for parent in stage.parents(params)]
+        atomic.touch(session.folder.file(stage.stem_of(params), "json"), before)
     return Result(now.manifest, ran=False, reason=None)
 
 
@@ -123,7 +133,39 @@ def _run(
     notes: list[str],
 ) -> manifest.Manifest:
     stem = stage.stem_of(params)
-    checkpoints = session.folder.checkpoints(stem, now.fingerprint)
+    told = log.StageLog(session.folder.path, stem, session.progress)
+    try:
+        told.event(
+            "start", command=command_line(session, stage, params, source), reason=now.reason,
+            fingerprint=now.fingerprint, threads=session.threads, host=socket.gethostname(),
+            tool_version=tool_version(),
+        )  # fmt: skip
+        written = _outcome(session, stage, params, now, source, sources, told, notes)
+        told.event(
+            "done", seconds=written["volatile"]["wall_seconds"], warnings=written["warnings"]
+        )
+    except BaseException as error:
+        told.event(
+            "failed", kind=type(error).__name__, reason=str(error), traceback=traceback.format_exc()
+        )
+        raise
+    finally:
+        told.close()
+    return written
+
+
+def _outcome(
+    session: Session,
+    stage: Stage,
+    params: Params,
+    now: State,
+    source: Identity,
+    sources: Callable[[], Any],
+    told: log.StageLog,
+    notes: list[str],
+) -> manifest.Manifest:
+    stem = stage.stem_of(params)
+    checkpoints = session.folder.checkpoints(stem, now.fingerprint, told.event)
     context = Context(
         params=params,
         folder=session.folder,
@@ -131,12 +173,12 @@ def _run(
         seed=session.seed,
         threads=session.threads,
         device=session.device,
-        progress=session.progress,
+        progress=told,
         checkpoints=checkpoints,
         random=partial(randomness.generator, session.seed, stage.name),
     )
     needed = stage.memory(context)
-    session.progress.note(f"{stage.name}: about {needed / 1000:.1f} GB of memory")
+    told.note(f"{stage.name}: about {needed / 1000:.1f} GB of memory")
     memory.require(stage.name, needed, session.max_memory_mb)
     wall, cpu = time.perf_counter(), time.process_time()
     from .voronoi.delaunay import backend
@@ -145,75 +187,71 @@ def _run(
         with backend(session.backend) as used:
             outcome = stage.run(context)
     finally:
-        session.progress.finish()
+        told.finish()
     from .artifacts.hdf5 import encode
 
     files = {"h5": encode(stage.name, outcome.arrays, {"stage": stage.name}), **outcome.files}
-    staging = session.folder.path / f".{stem}.new"
+    staging = session.folder.path / f".{stem}{atomic.STAGING}"
     atomic.make_folder(staging)
     staged = {suffix: staging / f"{stem}.{suffix}" for suffix in sorted(files)}
-    for suffix, path in staged.items():
-        atomic.write(path, files[suffix])
-    metrics = outcome.metrics
     try:
-        if outcome.recheck is not None:
-            metrics = metrics | {"as_written": outcome.recheck(staged)}
-        _remove_left_over(session.folder, stem, set(staged))
-        # From here to the manifest the stage counts as not done.
-        session.folder.file(stem, "json").unlink(missing_ok=True)
         outputs, times = [], {}
         for suffix, path in staged.items():
-            target = session.folder.file(stem, suffix)
-            atomic.move(path, target)
-            times[target.name] = target.stat().st_mtime_ns
-            outputs.append(
-                {
-                    "role": suffix,
-                    "path": target.name,
-                    "bytes": len(files[suffix]),
-                    "sha256": fingerprint.of_bytes(files[suffix]),
-                }
-            )
+            atomic.write(path, files[suffix])
+            times[path.name] = path.stat().st_mtime_ns
+            digest = fingerprint.of_bytes(files[suffix])
+            output = {"role": suffix, "path": path.name, "bytes": len(files[suffix])}
+            outputs.append({**output, "sha256": digest})
+        metrics = outcome.metrics
+        if outcome.recheck is not None:
+            metrics = metrics | {"as_written": outcome.recheck(staged)}
+        parents = {name: state(session, name).fingerprint for name in stage.parents(params)}
+        inputs = [_input_entry("input", source, session.folder.path)] if takes_input(stage) else []
+        for role, text in stage.extra_inputs(params).items():
+            inputs.append(_input_entry(role, identify(text), session.folder.path))
+        record = {
+            "schema": schemas.identifier(stage.name),
+            "stage": stage.name,
+            "status": "complete",
+            "tool_version": tool_version(),
+            "stage_code_version": stage.version,
+            "command": command_line(session, stage, params, source),
+            "params": params.as_json(),
+            "seed": session.seed,
+            "device": session.device,
+            "bitwise": session.device == "cpu",
+            "backend": session.backend,
+            "inputs": inputs,
+            "parents": parents,
+            "outputs": outputs,
+            "fingerprint": now.fingerprint,
+            "frame": outcome.frame or _frame(session.folder),
+            "metrics": metrics,
+            "warnings": outcome.warnings + [said for said in [used.warning()] if said],
+            "volatile": {
+                "mtime_ns": times,
+                "wall_seconds": round(time.perf_counter() - wall, 3),
+                "cpu_seconds": round(time.process_time() - cpu, 3),
+                "memory_estimate_mb": round(needed, 1),
+                "peak_memory_mb": memory.peak_mb(),
+                "threads": session.threads,
+                "host": socket.gethostname(),
+                "versions": _versions(),
+                "notes": notes,
+            },
+        }
+        encoded = manifest.encode(manifest.clean_numbers(record))
+        staged_manifest = staging / f"{stem}.json"
+        atomic.write(staged_manifest, encoded)
+        # All is on the disk, so what is left to do needs no more of it. From here to the last move
+        # the stage counts as not done.
+        _remove_left_over(session.folder, stem, set(staged))
+        for path in [*staged.values(), staged_manifest]:
+            atomic.move(path, session.folder.path / path.name)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    parents = {name: state(session, name).fingerprint for name in stage.parents(params)}
-    inputs = [_input_entry("input", source, session.folder.path)] if takes_input(stage) else []
-    for role, text in stage.extra_inputs(params).items():
-        inputs.append(_input_entry(role, identify(text), session.folder.path))
-    record = {
-        "schema": schemas.identifier(stage.name),
-        "stage": stage.name,
-        "status": "complete",
-        "tool_version": tool_version(),
-        "stage_code_version": stage.version,
-        "command": command_line(session, stage, params, source),
-        "params": params.as_json(),
-        "seed": session.seed,
-        "device": session.device,
-        "backend": session.backend,
-        "inputs": inputs,
-        "parents": parents,
-        "outputs": outputs,
-        "fingerprint": now.fingerprint,
-        "frame": outcome.frame or _frame(session.folder),
-        "metrics": metrics,
-        "warnings": outcome.warnings + [said for said in [used.warning()] if said],
-        "volatile": {
-            "mtime_ns": times,
-            "wall_seconds": round(time.perf_counter() - wall, 3),
-            "cpu_seconds": round(time.process_time() - cpu, 3),
-            "memory_estimate_mb": round(needed, 1),
-            "peak_memory_mb": memory.peak_mb(),
-            "threads": session.threads,
-            "host": socket.gethostname(),
-            "versions": _versions(),
-            "notes": notes,
-        },
-    }
-    clean: manifest.Manifest = manifest.clean_numbers(record)
-    atomic.write(session.folder.file(stem, "json"), manifest.encode(clean))
     checkpoints.clear()
-    return clean
+    return manifest.read(session.folder.file(stem, "json"))
 
 
 def _remove_left_over(folder: RunFolder, stem: str, roles: set[str]) -> None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SHARE, MOST = 0.75, 8_000
 """Of the valid pixels of a view that a step looks at, and how many at most."""
-CHECKPOINT_EVERY = 200
+CHECKPOINT_EVERY = 20
 ELEVATION = 15.0
 """Of the cameras of an orbit, in degrees."""
 SAMPLES = 2

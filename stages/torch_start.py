@@ -11,10 +11,15 @@ FUNCTIONS = (
 
 
 def start(threads: int) -> None:
-    """Let torch use ``threads``, each function of its vector library having been called once."""
+    """Let torch use ``threads``, each function of its vector library having been called once, and
+    of its operations only those that give the same bits every time, where it has them."""
     import torch
 
     torch.set_num_threads(threads)
+    # What CUDA has no such operation for is said; on a processor there is none of these.
+    torch.use_deterministic_algorithms(True, warn_only=torch.cuda.is_available())
+    # All that is read has been written before, so that filling it first is time lost.
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     settle()
 
 

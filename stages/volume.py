@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from .voronoi.interface import VoronoiSurface
     from .voronoi.interior import Guard
 
-CHECKPOINT_EVERY = 10
 DEFAULT_INNER = 800
 MOST_INNER = 10_000_000
 SAME = 1e-6
@@ -347,14 +346,13 @@ def _descend(
             descent = PaperDescent(guard, points, mean_area, threads, params.cvt_iterations)
         else:
             descent = Descent(guard, density, threads, points)
-        context.checkpoints.save(0, descent.state())
+        context.checkpoints.save(0, descent.state)
     context.progress.start("volume", params.cvt_iterations)
     while descent.taken < params.cvt_iterations and not descent.done:
         descent.step()
         loss = descent.residuals[-1] / mean_area
         context.progress.advance(descent.taken, f"CVT loss {loss:.3g}")
-        if descent.taken % CHECKPOINT_EVERY == 0:
-            context.checkpoints.save(descent.taken, descent.state())
+        context.checkpoints.save(descent.taken, descent.state)
     return descent
 
 

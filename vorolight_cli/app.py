@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 import os
-import signal
 import sys
 import traceback
 from dataclasses import replace
@@ -15,12 +14,12 @@ from typing import Annotated, Any
 import typer
 
 from vorolight.stages import pipeline, standing
-from vorolight.stages.artifacts import lock
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import UsageError, VorolightError
 
-from . import summary
+from . import signals, summary
+from .collect import collect
 from .compare import compare, outdated
 from .console import Console, table
 from .export import export
@@ -321,6 +320,7 @@ def sample(
 
 
 app.command()(guarded(compare))
+app.command()(guarded(collect))
 app.command()(guarded(export))
 app.command()(guarded(views))
 app.command()(guarded(from_image))
@@ -348,19 +348,12 @@ def _build() -> None:
     _run_command()
 
 
-def _stop(number: int, frame: object) -> None:
-    """End at once. No unwinding: an exception thrown into torch's kernels crashes the process, and
-    every file is either whole or not there."""
-    lock.release_all()
-    os.write(2, b"\nvorolight: stopped; the same command resumes\n")
-    os._exit(128 + number)
-
-
 def main() -> None:
     """Entry point of the console script."""
     # torch's threads would spin between its operations and keep scipy's from the cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    signal.signal(signal.SIGTERM, _stop)
-    signal.signal(signal.SIGINT, _stop)
+    # CUDA's linear algebra gives the same bits every time only with a workspace of its own.
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    signals.install()
     _build()
     app()

@@ -55,6 +55,11 @@ class Console:
         if self.verbosity > 0:
             print(text, file=self.stream, flush=True)
 
+    def detail(self, text: str) -> None:
+        """A line on stderr with ``-v``."""
+        if self.verbosity > 1:
+            print(text, file=self.stream, flush=True)
+
     def warn(self, text: str) -> None:
         print(f"warning: {text}", file=self.stream, flush=True)
 

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
+import time
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import UsageError
+from . import processes
 
-_TEMPORARY = re.compile(r"^\..+\.tmp\.(\d+)$")
+_TEMPORARY = re.compile(r"^\.(?:.+\.tmp|lock(?:\.dead)?)\.(\d{1,10})$")
+STAGING = ".new"
+"""Ends the name of a folder in which the files of a stage are written before they count."""
 
 
 def write(path: Path, data: bytes) -> None:
@@ -42,10 +48,12 @@ def move(source: Path, target: Path) -> None:
         raise UsageError(f"{target}: cannot be written ({error.strerror})") from error
 
 
-def touch(path: Path) -> None:
-    """Renew a file's modification time. Raises UsageError when that is not allowed."""
+def touch(path: Path, later_than: Iterable[Path] = ()) -> None:
+    """Renew a file's modification time; where the clock was set back, to that of the newest of
+    ``later_than``. Raises UsageError when that is not allowed."""
     try:
-        os.utime(path)
+        now = max([time.time_ns(), *(other.stat().st_mtime_ns for other in later_than)])
+        os.utime(path, ns=(now, now))
     except OSError as error:
         raise UsageError(f"{path}: cannot be touched ({error.strerror})") from error
 
@@ -61,30 +69,14 @@ def make_folder(path: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove temporary files left by processes that no longer run."""
-    for entry in folder.glob(".*.tmp.*"):
+    """Remove what processes that no longer run have left: temporary files, and folders of files
+    that were not all written. To be called by the holder of the folder's lock."""
+    for entry in folder.glob(".*"):
         match = _TEMPORARY.match(entry.name)
-        if match and not process_runs(int(match.group(1))):
+        if match and not processes.runs(int(match.group(1))):
             entry.unlink(missing_ok=True)
-
-
-def process_runs(pid: int) -> bool:
-    """Whether a process of this number runs on this machine."""
-    if os.name == "nt":
-        import ctypes
-
-        kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
-        handle = kernel.OpenProcess(0x1000, False, pid)
-        if handle:
-            kernel.CloseHandle(handle)
-        return bool(handle)
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+        elif entry.name.endswith(STAGING) and entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -3,44 +3,72 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import shutil
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ..errors import ArtifactError
-from . import atomic, hdf5
+from . import atomic, hdf5, requeue
 
 KEPT = 2
+COST = 50.0
+"""Between two checkpoints goes this many times the time that writing one takes: 2 % are lost."""
 
 
 class Checkpoints:
     """The checkpoints of one stage run; those of other parameters or inputs are ignored."""
 
-    def __init__(self, folder: Path, fingerprint: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        fingerprint: str,
+        tell: Callable[..., None] = lambda event, **facts: None,
+    ) -> None:
         self.folder = folder / fingerprint[:16]
         self.fingerprint = fingerprint
+        self.tell = tell
+        self._cost, self._written = 0.0, time.monotonic()
 
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob("[0-9]*.h5"))
 
-    def save(self, iteration: int, arrays: Mapping[str, Any]) -> None:
-        """Write the state after ``iteration`` iterations and drop the oldest files."""
+    def save(self, iteration: int, state: Callable[[], Mapping[str, Any]]) -> None:
+        """Write ``state()`` after ``iteration`` iterations and drop the oldest files, unless the
+        last time is too short ago. Raises Stopped afterwards if that was asked for."""
+        begun = time.monotonic()
+        if begun - self._written < COST * self._cost and not requeue.asked():
+            return
+        arrays = {name: hdf5.as_array(value) for name, value in state().items()}
+        facts = {"fingerprint": self.fingerprint, "iteration": iteration}
+        data = hdf5.encode(None, arrays, facts | {"sha256": _digest(iteration, arrays)})
         atomic.make_folder(self.folder)
-        data = hdf5.encode(None, arrays, {"fingerprint": self.fingerprint, "iteration": iteration})
         atomic.write(self.folder / f"{iteration:06d}.h5", data)
         for old in self._files()[:-KEPT]:
             old.unlink(missing_ok=True)
+        self._written = time.monotonic()
+        self._cost = self._written - begun
+        self.tell("checkpoint", iteration=iteration, bytes=len(data), seconds=round(self._cost, 4))
+        requeue.stop_if_asked()
 
     def latest(self) -> tuple[int, hdf5.Arrays] | None:
         """The newest readable state of this fingerprint, or None."""
         for path in reversed(self._files()):
             try:
                 arrays, attributes = hdf5.decode(path, None)
-            except ArtifactError:
+            except ArtifactError as error:
+                self.tell("checkpoint ignored", reason=str(error))
                 continue
-            if attributes.get("fingerprint") == self.fingerprint:
-                return int(attributes["iteration"]), arrays
+            iteration = attributes.get("iteration")
+            if attributes.get("fingerprint") != self.fingerprint:
+                continue
+            if attributes.get("sha256") != _digest(iteration, arrays):
+                self.tell("checkpoint ignored", reason=f"{path}: damaged")
+                continue
+            self.tell("resumed", iteration=int(iteration))
+            return int(iteration), arrays
         return None
 
     def clear(self) -> None:
@@ -48,3 +76,13 @@ class Checkpoints:
         shutil.rmtree(self.folder.parent, ignore_errors=True)
         with contextlib.suppress(OSError):  # other stages may have checkpoints there
             self.folder.parent.parent.rmdir()
+
+
+def _digest(iteration: Any, arrays: hdf5.Arrays) -> str:
+    """What tells a checkpoint whose bytes rotted from a whole one."""
+    found = hashlib.sha256(str(iteration).encode())
+    for name in sorted(arrays):
+        array = arrays[name]
+        found.update(f"{name}{array.dtype.str}{array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()

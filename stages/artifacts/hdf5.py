@@ -11,9 +11,21 @@ import numpy as np
 
 from vorolight.schemas import layouts
 
+from .. import memory
 from ..errors import ArtifactError
+from . import fingerprint
 
 Arrays = dict[str, np.ndarray[Any, Any]]
+
+LARGEST = 4_000_000_000
+"""Bytes that the arrays of a file may hold, unpacked."""
+FILTERS = (1, 2)
+"""HDF5's own deflate and shuffle; others would be loaded from wherever the system finds them."""
+
+
+def as_array(value: Any) -> np.ndarray[Any, Any]:
+    """``value`` as it comes back from a file: a C-ordered array."""
+    return np.array(value, order="C")
 
 
 def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str, Any]) -> bytes:
@@ -38,32 +50,64 @@ def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str
     return buffer.getvalue()
 
 
-def decode(path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
-    """All arrays and attributes of an HDF5 file, checked against the layout of ``stage``.
+def decode(
+    path: Path, stage: str | None, sha256: str | None = None
+) -> tuple[Arrays, dict[str, Any]]:
+    """The arrays and attributes of an HDF5 file: those of the layout of ``stage``, or all of them.
 
-    Raises ArtifactError when the file is missing, damaged or laid out differently.
+    ``sha256`` is what the file must hold. Raises ArtifactError when it is missing, damaged, another
+    one, or laid out differently; before anything is unpacked, when it would be too large.
     """
-    import h5py
-
     if not path.is_file():
         raise ArtifactError(f"{path}: missing; run the stage that writes it")
-    arrays: Arrays = {}
     try:
-        with h5py.File(path, "r", locking="best-effort") as file:
-
-            def visit(name: str, item: object) -> None:
-                if isinstance(item, h5py.Dataset):
-                    arrays[name] = item[()]
-
-            file.visititems(visit)
-            attributes = dict(file.attrs)
-    except (OSError, RuntimeError, KeyError) as error:
-        raise ArtifactError(
-            f"{path}: damaged ({str(error)[:100]}); run its stage again with --force"
-        ) from error
-    if stage is not None:
-        try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ArtifactError(f"{path}: cannot be read ({error.strerror})") from error
+    if sha256 is not None and fingerprint.of_bytes(raw) != sha256:
+        raise ArtifactError(f"{path}: changed since it was written; run its stage again")
+    try:
+        arrays, attributes = _unpacked(raw, None if stage is None else layouts.LAYOUTS[stage])
+        if stage is not None:
             layouts.check(stage, arrays)
-        except ValueError as error:
-            raise ArtifactError(f"{path}: {error}; run its stage again with --force") from error
+    # Whatever h5py makes of bytes that are no such file.
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
+        said = " ".join(str(error).split())[:120]
+        raise ArtifactError(
+            f"{path}: damaged ({said}); run its stage again with --force"
+        ) from error
     return arrays, attributes
+
+
+def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dict[str, Any]]:
+    import h5py
+
+    with h5py.File(io.BytesIO(raw), "r") as file:
+        found: dict[str, Any] = {}
+
+        def visit(name: str, item: object) -> None:  # links are not followed
+            if isinstance(item, h5py.Dataset) and (layout is None or name in layout):
+                found[name] = item
+
+        file.visititems(visit)
+        limit, total = min(LARGEST, int(1e6 * memory.free_mb())), 0
+        for name, item in found.items():
+            if item.dtype.kind not in "biuf" or item.dtype.itemsize > 8:
+                raise ValueError(f"array {name} holds {item.dtype}")
+            if item.external or item.is_virtual:
+                raise ValueError(f"array {name} lies in another file")
+            plan = item.id.get_create_plist()
+            if any(plan.get_filter(i)[0] not in FILTERS for i in range(plan.get_nfilters())):
+                raise ValueError(f"array {name} is packed in a way that is not ours")
+            total += item.dtype.itemsize * item.size
+        if total > limit:
+            raise ValueError(f"its arrays would take {total / 1e9:.1f} GB, more than may be read")
+        if layout is not None:
+            layouts.check_shapes(layout, {name: item.shape for name, item in found.items()})
+        attributes = {}
+        for name in file.attrs:
+            kind = file.attrs.get_id(name)
+            if kind.get_storage_size() > 4096:
+                raise ValueError(f"attribute {name} is too large")
+            attributes[name] = file.attrs[name]
+        return {name: item[()] for name, item in found.items()}, attributes

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from ..errors import Locked, UsageError
-from .atomic import process_runs
+from . import processes
 
 NAME = ".lock"
 _HELD: set[Path] = set()
+JOB = ("SLURM_CLUSTER_NAME", "SLURM_JOB_ID")
+"""What names a job that a cluster never runs twice at once, and starts again on another node."""
 
 
 @contextmanager
@@ -24,7 +27,7 @@ def locked(folder: Path) -> Iterator[list[str]]:
     Raises Locked while another process of this host, or any process of another host, holds it.
     """
     path = folder / NAME
-    mine = json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "start": time.time()})
+    mine = json.dumps(_holder())
     warnings: list[str] = []
     whole = folder / f"{NAME}.{os.getpid()}"
     try:
@@ -32,7 +35,7 @@ def locked(folder: Path) -> Iterator[list[str]]:
         whole.write_text(mine)
         while True:
             try:
-                os.link(whole, path)
+                _put(whole, path)
                 break
             except FileExistsError:
                 warnings += _take_over(path)
@@ -50,10 +53,44 @@ def locked(folder: Path) -> Iterator[list[str]]:
         path.unlink(missing_ok=True)
 
 
+def _put(whole: Path, path: Path) -> None:
+    """Make ``path`` the file ``whole``. Raises FileExistsError when there is one."""
+    try:
+        os.link(whole, path)
+    except FileExistsError:
+        raise
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        with open(path, "x") as stream:  # a file system without hard links
+            stream.write(whole.read_text())
+
+
 def release_all() -> None:
     """Give up every lock of this process, for one that ends without unwinding."""
     for path in _HELD:
         path.unlink(missing_ok=True)
+
+
+def _holder() -> dict[str, Any]:
+    job = [os.environ.get(name, "") for name in JOB]
+    return {
+        "host": socket.gethostname(),
+        "pid": os.getpid(),
+        "start": processes.start_of(os.getpid()),
+        "job": ":".join(job) if job[-1] else None,
+    }
+
+
+def holder(folder: Path) -> dict[str, Any] | None:
+    """Who holds the lock of ``folder``, as it says, if it still runs or is on another host."""
+    try:
+        found = json.loads((folder / NAME).read_bytes())
+        here = str(found["host"]) == socket.gethostname()
+        gone = here and not processes.runs(int(found["pid"]), found.get("start"))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    return None if gone else {"host": str(found["host"]), "pid": int(found["pid"])}
 
 
 def _take_over(path: Path) -> list[str]:
@@ -65,13 +102,18 @@ def _take_over(path: Path) -> list[str]:
     try:
         holder = json.loads(text)
         host, pid = str(holder["host"]), int(holder["pid"])
-    except (ValueError, KeyError, TypeError):
+        job, start = holder.get("job"), holder.get("start")
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise Locked(f"{path}: is no lock of ours; delete the file") from None
-    if host != socket.gethostname():
+    ours = _holder()
+    # A job that was started again is the only one of its number: what held the lock is dead.
+    again = job is not None and job == ours["job"] and (host, pid) != (ours["host"], ours["pid"])
+    if host != ours["host"] and not again:
         raise Locked(f"{path}: held by process {pid} on {host}; wait, or delete the file")
-    # Our own number on a lock that is not ours: a container that counts from 1 again.
-    mine = pid == os.getpid() and path not in _HELD
-    if process_runs(pid) and not mine:
+    if host == ours["host"] and path in _HELD and pid == ours["pid"]:
+        raise Locked(f"{path}: held by this process; wait for it")
+    # A number may be given out again, after a restart or in a container.
+    if host == ours["host"] and processes.runs(pid, start):
         raise Locked(f"{path}: held by process {pid}; wait for it, or stop it")
     aside = path.with_name(f"{NAME}.dead.{os.getpid()}")
     try:

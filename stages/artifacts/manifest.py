@@ -14,6 +14,9 @@ from . import fingerprint
 
 Manifest = dict[str, Any]
 
+LARGEST = 16_000_000
+"""Bytes of a manifest; a large one has fifty thousand."""
+
 
 def clean_numbers(value: Any) -> Any:
     """JSON values from numpy scalars and dataclass dictionaries; a NaN or infinity becomes null."""
@@ -29,24 +32,51 @@ def clean_numbers(value: Any) -> Any:
 
 
 def encode(manifest: Manifest) -> bytes:
-    """The bytes of a manifest, checked against its schema."""
-    schemas.validate(manifest)
-    return (json.dumps(manifest, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+    """The bytes of a manifest, with its checksums, checked against its schema."""
+    sealed = _sealed(manifest)
+    schemas.validate(sealed)
+    return (json.dumps(sealed, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def _sealed(manifest: Manifest) -> Manifest:
+    """The manifest with a checksum of what does not vary from run to run, and one of the rest."""
+    kept = {key: value for key, value in manifest.items() if key not in ("checksum", "volatile")}
+    volatile = {key: value for key, value in manifest["volatile"].items() if key != "checksum"}
+    return {
+        **kept,
+        "checksum": fingerprint.of_json(kept),
+        "volatile": {**volatile, "checksum": fingerprint.of_json(volatile)},
+    }
 
 
 def read(path: Path) -> Manifest:
     """A manifest from disk. Raises ArtifactError when it is missing, damaged or not ours."""
     try:
-        manifest = json.loads(path.read_bytes())
+        if path.stat().st_size > LARGEST or not path.is_file():
+            raise ArtifactError(f"{path}: no manifest; delete it and run its stage again")
+        manifest = json.loads(path.read_bytes(), parse_constant=_no_number, parse_float=_finite)
     except FileNotFoundError:
         raise ArtifactError(f"{path}: missing; run its stage first") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"{path}: not a readable manifest; delete it and run again") from error
     try:
         schemas.validate(manifest)
-    except ValueError as error:
-        raise ArtifactError(f"{path}: {error}; delete it and run its stage again") from error
+        if "checksum" in manifest and manifest != _sealed(manifest):
+            raise ValueError("is not as it was written")
+    # A deep or strange value may upset the validator itself.
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        said = " ".join(str(error).split())
+        raise ArtifactError(f"{path}: {said}; delete it and run its stage again") from error
     return dict(manifest)
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(f"{text} is no number")
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if math.isfinite(number) else _no_number(text)
 
 
 def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | None:
@@ -60,9 +90,16 @@ def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | Non
             state = path.stat()
         except OSError:
             return f"{path.name} is missing"
+        if not leads_inside(path):
+            return f"{path.name} is no file of this folder"
         if state.st_size != output["bytes"]:
             return f"{path.name} changed"
         touched = state.st_mtime_ns != manifest["volatile"]["mtime_ns"].get(path.name)
         if (verify or touched) and fingerprint.of_file(path) != output["sha256"]:
             return f"{path.name} changed"
     return None
+
+
+def leads_inside(path: Path) -> bool:
+    """Whether a file of a run folder is one: not a folder or a device, no link out of there."""
+    return path.is_file() and path.resolve().parent == path.parent.resolve()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,14 +60,25 @@ class RunFolder:
         return manifest.read(path) if path.is_file() else None
 
     def arrays(self, stem: str, layout: str) -> Arrays:
-        """The arrays of a finished stage. Raises ArtifactError when they are not there."""
-        if not self.file(stem, "json").is_file():
+        """The arrays of a finished stage, the very ones that it wrote.
+
+        Raises ArtifactError when they are not there, or others are.
+        """
+        stored = self.manifest(stem)
+        if stored is None:
             raise ArtifactError(f"{self.path}: stage {stem} is not done; run: vorolight {stem}")
         from .hdf5 import decode
 
-        return decode(self.file(stem, "h5"), layout)[0]
+        path = self.file(stem, "h5")
+        sums = [entry["sha256"] for entry in stored["outputs"] if entry["path"] == path.name]
+        if not sums or (path.exists() and not manifest.leads_inside(path)):
+            raise ArtifactError(f"{path}: not among the files of its manifest; run its stage again")
+        return decode(path, layout, sums[0])[0]
 
-    def checkpoints(self, stem: str, fingerprint: str) -> Checkpoints:
+    def checkpoints(
+        self, stem: str, fingerprint: str, tell: Callable[..., None] = lambda event, **facts: None
+    ) -> Checkpoints:
+        """The checkpoints of one run of a stage; what becomes of them is told to ``tell``."""
         from .checkpoints import Checkpoints
 
-        return Checkpoints(self.path / "checkpoints" / stem, fingerprint)
+        return Checkpoints(self.path / "checkpoints" / stem, fingerprint, tell)

@@ -91,11 +91,11 @@ def conform(
         progress.start(f"repair {number}" if number else "sphere-train", count)
         for first in range(begin, count, LEG):
             if first > begin:
-                state = {item.name: getattr(spheres, item.name) for item in fields(Spheres)}
-                place = {"round": number, "begin": first, "damping": damping}
-                state |= {name: np.array(value) for name, value in place.items()}
                 before = leg.iterations + ROUND * (number - 1) if number else 0
-                checkpoints.save(before + first, state | {"free": free, "history": history})
+                state = {item.name: getattr(spheres, item.name) for item in fields(Spheres)}
+                state |= {"round": number, "begin": first, "damping": damping}
+                state |= {"free": free, "history": history}
+                checkpoints.save(before + first, state.copy)
             if not number and 2 * first < count:
                 gain = intrusion_gain if first else delaunay_gain
                 mesh = spheres.as_mesh()

@@ -33,8 +33,9 @@ class Schedule:
     rate: float
     decay: Literal["constant", "cosine", "halving"]
     checkpoint_every: int
-    """Iterations between checkpoints; a multiple of every interval at which ``losses`` refreshes
-    what it caches, so that a resumed run repeats the interrupted one bit by bit."""
+    """Iterations after which there may be a checkpoint; a multiple of every interval at which
+    ``losses`` refreshes what it caches, so that a resumed run repeats the interrupted one bit by
+    bit."""
     patience: int | None = None
     """Iterations after which training ends if none of them was better than the best before by
     LESS of it; None never ends early."""
@@ -132,8 +133,10 @@ def adam(
         moments.step(gradients, iteration, schedule.rate_at(iteration))
         progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
         if (iteration + 1) % schedule.checkpoint_every == 0 and iteration + 1 < schedule.iterations:
-            saved = {"history": history[: iteration + 1], **moments.as_arrays()}
-            checkpoints.save(iteration + 1, saved)
+            so_far = history[: iteration + 1]
+            checkpoints.save(
+                iteration + 1, lambda so_far=so_far: {"history": so_far, **moments.as_arrays()}
+            )
     return history
 
 

@@ -94,8 +94,8 @@ def train_polygons(
     progress.start("polygons", iterations)
     for begin in range(first, iterations, LEG):
         arrays = {item.name: getattr(state, item.name) for item in fields(Paired)}
-        arrays |= {"first": np.array(begin), "damping": np.array(damping), "history": history}
-        checkpoints.save(BEFORE + begin, {**arrays, **stored})
+        arrays |= {"first": begin, "damping": damping, "history": history, **stored}
+        checkpoints.save(BEFORE + begin, arrays.copy)
         last = min(iterations, begin + LEG)
         factors = [EASY if i < START * iterations else 1.0 for i in range(begin, last)]
         problem = PairedProblem(mesh, state, surface, weights, threads)

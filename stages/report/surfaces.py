@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..artifacts.hdf5 import Arrays, decode
+from ..artifacts.hdf5 import Arrays
 from ..artifacts.manifest import Manifest
 from ..artifacts.run_folder import RunFolder
 from ..errors import InputError
@@ -185,10 +185,8 @@ def _stages(folder: RunFolder) -> Iterator[Shape]:
         yield Shape("cut", "Volume, cut open", "volume", half, tint=inner)
     # A stage of its own reader: whatever wrote it says what its surface is.
     if folder.file("baseline", "json").is_file():
-        arrays, _ = decode(folder.file("baseline", "h5"), None)
-        if "surface/vertices" in arrays:
-            mesh = PolygonMesh.from_arrays(arrays, "surface/")
-            yield _fewer(Shape("baseline", "Baseline", "baseline", mesh))
+        mesh = PolygonMesh.from_arrays(folder.arrays("baseline", "baseline"), "surface/")
+        yield _fewer(Shape("baseline", "Baseline", "baseline", mesh))
 
 
 def _object(folder: RunFolder) -> Iterator[Shape]:
@@ -246,7 +244,7 @@ def _measured(folder: RunFolder, shape: Shape) -> None:
                 f"run: vorolight evaluate --of {shape.stage}"
             )
         return
-    arrays, _ = decode(folder.file(stem, "h5"), "evaluate")
+    arrays = folder.arrays(stem, "evaluate")
     measured = PolygonMesh.from_arrays(arrays, "surface/")
     assert shape.mesh is not None
     if not np.array_equal(measured.vertices, shape.mesh.vertices):

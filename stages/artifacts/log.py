@@ -1,0 +1,104 @@
+"""What a stage did and when: JSON lines in ``logs/<stem>.jsonl``, and what is shown meanwhile."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..contract import Progress
+
+FOLDER = "logs"
+LARGEST = 4_000_000
+"""Bytes of a log that is put aside, as ``.1``, when the stage starts again."""
+EVERY = 10.0
+"""Seconds after which progress is logged again, if it has not come a tenth further."""
+
+
+class StageLog:
+    """Progress that is shown and logged. It owns the log file while its stage runs.
+
+    Where the log cannot be written that is said once, and the stage goes on.
+    """
+
+    def __init__(self, folder: Path, stem: str, shown: Progress) -> None:
+        self.shown = shown
+        self.path = folder / FOLDER / f"{stem}.jsonl"
+        self.label, self.total, self.tenth, self.logged = "", 0, -1, 0.0
+        self.file: int | None = None
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            if self.path.exists() and self.path.stat().st_size > LARGEST:
+                os.replace(self.path, self.path.with_suffix(".jsonl.1"))
+            torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
+            self.file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            if torn:  # its writer was killed
+                os.write(self.file, b"\n")
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        self.shown.note(f"{self.path}: no log is kept ({error.strerror})")
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; later events are only shown."""
+        if self.file is not None:
+            os.close(self.file)
+        self.file = None
+
+    def event(self, name: str, **facts: Any) -> None:
+        """Log one event; with ``-v`` it is shown too."""
+        self._write(name, facts)
+        self.shown.detail(" ".join([name, *(f"{key}={value}" for key, value in facts.items())]))
+
+    def _write(self, name: str, facts: dict[str, Any]) -> None:
+        if self.file is None:
+            return
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        line = json.dumps({"time": now, "pid": os.getpid(), "event": name, **facts}, default=str)
+        try:
+            os.write(self.file, line.encode() + b"\n")
+        except OSError as error:
+            self._give_up(error)
+
+    def start(self, label: str, total: int) -> None:
+        self.label, self.total, self.tenth = label, total, -1
+        self.logged = time.monotonic()
+        self.shown.start(label, total)
+
+    def advance(self, done: int, note: str = "") -> None:
+        self.shown.advance(done, note)
+        tenth = 10 * done // max(self.total, 1)
+        if tenth > self.tenth or time.monotonic() - self.logged > EVERY:
+            self.tenth, self.logged = tenth, time.monotonic()
+            facts = {"label": self.label, "done": done, "of": self.total, "note": note}
+            self._write("progress", facts)
+
+    def finish(self) -> None:
+        self.shown.finish()
+
+    def note(self, text: str) -> None:
+        self._write("note", {"text": text})
+        self.shown.note(text)
+
+    def detail(self, text: str) -> None:
+        self.event(text)
+
+
+def read(folder: Path, stem: str) -> list[dict[str, Any]]:
+    """The events of a stage's log, oldest first; a line that a killed process left torn is left
+    out."""
+    events = []
+    path = folder / FOLDER / f"{stem}.jsonl"
+    if path.is_file():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                events.append(dict(json.loads(line)))
+            except (ValueError, TypeError, RecursionError):
+                continue
+    return events

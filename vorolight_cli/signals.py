@@ -1,0 +1,43 @@
+"""How the command ends when it is told to: at once, or at the next checkpoint."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+from vorolight.stages.artifacts import lock, requeue
+from vorolight.stages.errors import Stopped
+
+GRACE = 60
+"""Seconds that a process which was asked to stop at a checkpoint has to get there."""
+
+
+def install() -> None:
+    """SIGTERM and SIGINT end the process at once; SIGUSR1 at the next checkpoint, before the next
+    stage or after GRACE, whichever comes first."""
+    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGINT, _stop)
+    if hasattr(signal, "SIGUSR1"):
+        signal.signal(signal.SIGUSR1, _stop_at_checkpoint)
+        signal.signal(signal.SIGALRM, _stop_without)
+
+
+def _stop(number: int, frame: object) -> None:
+    _end(128 + number, "stopped")
+
+
+def _stop_at_checkpoint(number: int, frame: object) -> None:
+    requeue.ask()
+    signal.alarm(GRACE)
+
+
+def _stop_without(number: int, frame: object) -> None:
+    _end(Stopped.exit_code, "stopped, no checkpoint being near")
+
+
+def _end(code: int, said: str) -> None:
+    """No unwinding: an exception thrown into torch's kernels crashes the process, and every file
+    is either whole or not there."""
+    lock.release_all()
+    os.write(2, f"\nvorolight: {said}; the same command resumes\n".encode())
+    os._exit(code)
