@@ -55,7 +55,7 @@ def row(folder: RunFolder) -> dict[str, Value]:
     """
     found: dict[str, Value] = {"run": str(folder.path), "error": None}
     try:
-        names = set(os.listdir(folder.path))
+        names = {entry.name for entry in folder.path.iterdir()}
     except OSError as error:
         return {**found, "error": f"cannot be read ({error.strerror})"}
     errors = []
@@ -158,9 +158,7 @@ def selected(table: Table, patterns: Sequence[str]) -> Table:
     return {
         name: values
         for name, values in table.items()
-        if not patterns
-        or name in KEPT
-        or any(fnmatchcase(name, pattern) for pattern in patterns)
+        if not patterns or name in KEPT or any(fnmatchcase(name, pattern) for pattern in patterns)
     }
 
 
@@ -192,11 +190,12 @@ def as_parquet(table: Table) -> bytes:
     columns = {}
     for name, values in table.items():
         kinds = {type(value) for value in values if value is not None}
+        large = any(type(value) is int and abs(value) >= 2**63 for value in values)
         if kinds == {bool}:
             form = arrow.bool_()
-        elif kinds == {int} and all(abs(value or 0) < 2**63 for value in values):  # type: ignore[arg-type]
+        elif kinds == {int} and not large:
             form = arrow.int64()
-        elif kinds and kinds <= {int, float}:
+        elif float in kinds and kinds <= {int, float}:
             form = arrow.float64()
             values = [None if value is None else float(value) for value in values]
         else:

@@ -1,0 +1,79 @@
+"""``vorolight collect``: many runs as one table."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vorolight.stages.errors import UsageError
+
+from .console import Console
+from .session import Quiet, Verbose
+
+
+def collect(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(help="Run folders, or folders that hold some (*.vorolight)."),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="A .csv or .parquet to write; - prints CSV."),
+    ] = Path("-"),
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--columns",
+            metavar="PATTERN",
+            help="Only the columns that match, such as 'evaluate-*.chamfer.*', besides run and "
+            "error. May be given several times.",
+            show_default=False,
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Make one table of many runs: a row for each, with its input, options, states of its stages,
+    times, memory, and every figure of its manifests as stage.figure.
+
+    Example: vorolight collect runs/ -o runs.csv --columns 'evaluate-*'
+    """
+    from vorolight.stages import collection
+    from vorolight.stages.artifacts import atomic
+
+    printed = str(output) == "-"
+    if not printed:
+        if output.suffix not in (".csv", ".parquet"):
+            raise UsageError(f"{output}: must end with .csv or .parquet, or be -")
+        if output.is_dir() or not output.parent.is_dir():
+            raise UsageError(f"{output}: not a file that can be written; name another with -o")
+        if output.suffix == ".parquet":
+            collection.require_parquet()
+    console = Console(0 if quiet else 1, False, False)
+    folders = collection.run_folders(runs)
+
+    def told(number: int, row: dict[str, collection.Value]) -> None:
+        if row["error"] is not None:
+            console.warn(f"{row['run']}: {row['error']}")
+        if len(folders) >= MANY:
+            console.advance(number)
+
+    console.start("collect", len(folders))
+    try:
+        found = collection.gather(folders, told)
+    finally:
+        console.finish()
+    found = collection.selected(found, columns or [])
+    if printed:
+        sys.stdout.buffer.write(collection.as_csv(found))
+        return
+    made = collection.as_csv if output.suffix == ".csv" else collection.as_parquet
+    atomic.write(output, made(found))
+    console.say(f"{output}: {len(folders)} runs, {len(found)} columns")
+
+
+MANY = 200
+"""Runs from which on it is said how far the reading is."""
