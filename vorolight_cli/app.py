@@ -21,24 +21,19 @@ from vorolight.stages.errors import UsageError, VorolightError
 from . import signals, summary
 from .collect import collect
 from .compare import compare, outdated
-from .console import Console, table
+from .console import Console
 from .export import export
 from .gating import gating
 from .parameters import Function, add_options, build, parameter_names
 from .sbatch import sbatch
 from .session import (
     Common,
-    Field,
-    Input,
-    Json,
-    Kind,
     Quiet,
     Run,
     Verbose,
-    Verify,
     common_options,
-    identity_of,
 )
+from .status import status
 from .views import from_image, views
 
 HELP = {"help_option_names": ["-h", "--help"]}
@@ -278,28 +273,6 @@ def report(
 
 @app.command()
 @guarded
-def status(
-    input: Input = None, field: Field = None, kind: Kind = None, run: Run = None,
-    json: Json = False, verify: Verify = False, verbose: Verbose = False,
-) -> None:  # fmt: skip
-    """Say for each stage whether it is done, or why it would run again."""
-    identity = identity_of(input, field, kind)
-    folder = RunFolder.locate(run, None if identity is None else identity.stem)
-    session = standing.Session(folder=folder, input=identity, verify=verify)
-    console = Console(1, json, True)
-    rows = [("stage", "state", "why", "seconds")]
-    for found in standing.overall(session):
-        took = found.manifest["volatile"]["wall_seconds"] if found.manifest else None
-        state = "done" if found.done else "to do" if found.manifest is None else "stale"
-        stem = found.stage.stem_of(found.params)
-        why = "" if found.done or found.manifest is None else found.reason or ""
-        rows.append((stem, state, why, "" if took is None else f"{took:.1f}"))
-        console.data({"stage": stem, "state": state, "reason": found.reason, "seconds": took})
-    console.say(f"{folder.path}\n{table(rows)}")
-
-
-@app.command()
-@guarded
 def sample(
     name: Annotated[str, typer.Argument(help="airplane, bone, bunny, chameleon, cow or cube.")],
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
@@ -319,6 +292,7 @@ def sample(
     print(target)
 
 
+app.command()(guarded(status))
 app.command()(guarded(compare))
 app.command()(guarded(collect))
 app.command()(guarded(export))
