@@ -58,6 +58,7 @@ def sbatch(
 
     Example: vorolight sbatch shapes.txt -n 25 --time 1:00:00 --submit
     """
+    from vorolight.stages.artifacts import atomic
     from vorolight.stages.sources import shape_list
 
     from .slurm_script import Plan, script
@@ -87,7 +88,7 @@ def sbatch(
         at_once=at_once,
         array_size=array_size,
     )
-    text = script(plan)
+    text, logs = script(plan)
     if not submit:
         print(text, end="")
         return
@@ -96,11 +97,14 @@ def sbatch(
             "sbatch is not installed here; run this where Slurm is, or leave out --submit and run "
             "the script there"
         )
-    done = subprocess.run(["bash", "-s"], input=text, stdout=subprocess.PIPE, text=True)
-    if done.returncode:
-        raise UsageError(
-            f"{shapes}: Slurm refused the jobs (its reason is above), none is left of them; "
-            "correct the options and submit again"
-        )
+    kept = Path(logs) / "submit.sh"
+    atomic.make_folder(kept.parent)
+    atomic.write(kept, text.encode())
+    done = subprocess.run(["bash", str(kept)], stdout=subprocess.PIPE, text=True)
     if not quiet:
         print(done.stdout, end="")
+    if done.returncode:
+        raise UsageError(
+            f"{shapes}: Slurm did not take all jobs, for the reason above; correct the options, or "
+            "go on as it says"
+        )

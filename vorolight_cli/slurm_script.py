@@ -39,9 +39,11 @@ class Plan:
 SUBMIT = """\
 #!/usr/bin/env bash
 # {count} shapes, one array of jobs a stage: each task of an array waits for the same task of the
-# array before it, and goes with it if that fails. Run this where sbatch is.
-set -Eeuo pipefail
+# array before it, and goes with it if that fails. Run this where sbatch is; with a number, it
+# submits the shapes from there on.
+set -euo pipefail
 cd -- {folder}
+from=${{1:-1}}
 logs={logs}
 mkdir -p -- "$logs"
 
@@ -59,22 +61,27 @@ keep options.toml <<'{end}'
 keep job.sh <<'{end}'
 {job}{end}
 
-ids=()
+# A queue may hold only so many jobs (MaxJobCount, MaxSubmitJobs): each part is in it or is not.
+offset=0 id= ids=()
 withdraw() {{
-    echo "sbatch failed; what was submitted is withdrawn: ${{ids[*]:-nothing}}" >&2
     [ ${{#ids[@]}} -eq 0 ] || scancel "${{ids[@]}}"
+    echo "The shapes from $((offset + 1)) on are not submitted. When the queue has room for" \\
+        "{stages} jobs more, go on with: bash $0 $((offset + 1))" >&2
 }}
-trap withdraw ERR
+trap '[ $? -eq 0 ] || withdraw' EXIT
 
-id=
-submit() {{ # STAGE TASKS OFFSET [JOB TO FOLLOW]
+part() {{
+    offset=$1 id= ids=()
+    [ $((offset + 1)) -ge "$from" ]
+}}
+submit() {{ # STAGE TASKS
     id=$(sbatch --parsable --job-name="vorolight-$1" --array="$2{throttle}" \\
-        ${{4:+--dependency="aftercorr:$4" --kill-on-invalid-dep=yes}} \\
+        ${{id:+--dependency="aftercorr:$id" --kill-on-invalid-dep=yes}} \\
         --cpus-per-task={threads} --signal=B:USR1@120 --requeue --open-mode=append \\
-        --output="$logs/%x-%A_%a.out"{asked} "$logs/job.sh" "$logs" "$1" "$3")
+        --output="$logs/%x-%A_%a.out"{asked} "$logs/job.sh" "$logs" "$1" "$offset")
     id=${{id%%;*}}
     ids+=("$id")
-    echo "$1: job $id, tasks $2, of the shapes from $(($3 + 1)) on"
+    echo "$1: job $id, tasks $2, of the shapes from $((offset + 1)) on"
 }}
 
 {calls}
@@ -115,8 +122,9 @@ exit $code
 """
 
 
-def script(plan: Plan) -> str:
-    """The script for ``plan``: it writes what the jobs read, and submits them."""
+def script(plan: Plan) -> tuple[str, str]:
+    """The script for ``plan``, which writes what the jobs read, and submits them; and the folder
+    of its logs."""
     job = JOB.format(
         threads=plan.threads,
         resolution="" if plan.resolution is None else f"-n {plan.resolution}",
@@ -127,32 +135,36 @@ def script(plan: Plan) -> str:
     digest = hashlib.sha256("\0".join(texts).encode()).hexdigest()[:8]
     # Slurm reads % in the names of logs.
     name = re.sub(r"[^\w.-]", "_", plan.name, flags=re.ASCII)
-    return SUBMIT.format(
+    logs = f"{LOGS}/{name}-{digest}"
+    text = SUBMIT.format(
         count=len(plan.inputs),
         folder=shlex.quote(str(plan.folder)),
-        logs=f"{LOGS}/{name}-{digest}",
+        logs=logs,
         end=f"END-{digest}",
         **dict(zip(("inputs", "runs", "config", "job"), texts, strict=True)),
         throttle=f"%{plan.at_once}" if plan.at_once else "",
         threads=plan.threads,
         asked="".join(f" \\\n        --{k}={shlex.quote(v)}" for k, v in plan.asked.items()),
+        stages=min(len(plan.inputs), plan.array_size) * (len(plan.stages) + bool(plan.last)),
         calls="\n".join(_calls(plan)),
     )
+    return text, logs
 
 
 def _calls(plan: Plan) -> Iterator[str]:
-    """One call of ``submit`` a stage, for as many shapes at a time as an array may have."""
+    """One call of ``submit`` a stage, for as many shapes as an array may have."""
     count = len(plan.inputs)
     for offset in range(0, count, plan.array_size):
         size = min(plan.array_size, count - offset)
-        yield f"submit {plan.stages[0]} 1-{size} {offset}"
-        for stage in plan.stages[1:]:
-            yield f'submit {stage} 1-{size} {offset} "$id"'
+        yield f"if part {offset}; then"
+        for stage in plan.stages:
+            yield f"    submit {stage} 1-{size}"
         if plan.last is not None:
             stage, chosen = plan.last
             tasks = _ranges(i - offset for i in chosen if offset < i <= offset + size)
             if tasks:
-                yield f'submit {stage} {tasks} {offset} "$id"'
+                yield f"    submit {stage} {tasks}"
+        yield "fi"
 
 
 def _ranges(numbers: Iterable[int]) -> str:
