@@ -22,6 +22,7 @@ from . import signals, summary
 from .collect import collect
 from .compare import compare, outdated
 from .console import Console
+from .doctor import doctor
 from .export import export
 from .gating import gating
 from .parameters import Function, add_options, build, parameter_names
@@ -295,6 +296,7 @@ def sample(
 app.command()(guarded(status))
 app.command()(guarded(compare))
 app.command()(guarded(collect))
+app.command()(guarded(doctor))
 app.command()(guarded(export))
 app.command()(guarded(views))
 app.command()(guarded(from_image))

@@ -1,0 +1,122 @@
+"""Whether everything that vorolight needs is here and works, and what to do where it does not.
+
+The checks run in a child process: a library that crashes its process or never answers is just what
+they are to find.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+SECONDS = 120
+"""After which the check that is at work is given up."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found: ``verdict`` is ok, note (something optional is not there, or is worth
+    knowing) or problem, with ``advice`` on what to do."""
+
+    name: str
+    found: str
+    verdict: str = "ok"
+    advice: str | None = None
+
+
+Check = Callable[[Path], Iterable[Finding]]
+"""Is given the folder in which runs are to be written."""
+
+
+def checks() -> dict[str, Check]:
+    """All checks by name, in the order in which they are told."""
+    from . import installation, machine
+
+    return {
+        "python": installation.python,
+        "libraries": installation.libraries,
+        "extras": installation.extras,
+        "Delaunay": installation.delaunay,
+        "compiled loops": installation.kernels,
+        "torch operations": installation.torch_operations,
+        "distances": installation.distances,
+        "solids": installation.solids,
+        "3MF": installation.threemf,
+        "HDF5": installation.hdf5,
+        "mesh repair": installation.repair,
+        "threads": machine.threads,
+        "memory": machine.memory_there,
+        "GPU": machine.gpu,
+        "disk": machine.disk,
+        "files": machine.files,
+        "programs": machine.programs,
+    }
+
+
+def examine(folder: Path, names: Iterable[str] | None = None) -> Iterator[Finding]:
+    """What the checks called ``names`` find, all of them by default, as they find it.
+
+    A check that fails, crashes or does not end is a problem of that name; the others go on.
+    """
+    left = list(checks() if names is None else names)
+    while left:
+        yield from _by_child(folder, left)
+
+
+def _by_child(folder: Path, left: list[str]) -> Iterator[Finding]:
+    """Takes each check out of ``left`` that is over, the one that ended the child included."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", __name__, str(folder), *left],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        encoding="utf-8",
+    )
+    timer = threading.Timer(SECONDS, child.kill)
+    timer.start()
+    try:
+        assert child.stdout is not None
+        for line in child.stdout:
+            told = json.loads(line)
+            if told is None:
+                left.pop(0)
+            else:
+                yield Finding(**told)
+        code = child.wait()
+    finally:
+        late = not timer.is_alive()
+        timer.cancel()
+        child.kill()
+        child.wait()
+    if left:
+        how = f"did not end within {SECONDS} s" if late else f"ended its process with {code}"
+        advice = "reinstall what it needs: pip install --force-reinstall vorolight"
+        yield Finding(left.pop(0), how, "problem", advice)
+
+
+def _tell(folder: str, *names: str) -> None:
+    """Run checks and print their findings, a line of JSON each, and null after every check."""
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # libraries may print
+    known = checks()
+    for name in names:
+        try:
+            for finding in known[name](Path(folder)):
+                print(json.dumps(asdict(finding)), file=out, flush=True)
+        # A check may come upon anything; that is what it is for.
+        except BaseException as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            advice = "mend or reinstall what is named there"
+            print(json.dumps(asdict(Finding(name, reason, "problem", advice))), file=out)
+        print("null", file=out, flush=True)
+
+
+if __name__ == "__main__":
+    _tell(*sys.argv[1:])
