@@ -18,11 +18,12 @@ from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import UsageError, VorolightError
 
-from . import signals, summary
+from . import completion, signals, summary
 from .collect import collect
 from .compare import compare, outdated
 from .console import Console
 from .doctor import doctor
+from .epilog import EPILOG
 from .export import export
 from .gating import gating
 from .parameters import Function, add_options, build, parameter_names
@@ -42,6 +43,7 @@ app = typer.Typer(
     name="vorolight",
     help="Smooth, watertight polygonal Voronoi surfaces from any shape, volumetric Voronoi meshes "
     "inside them, and printable lamps made of them.",
+    epilog=EPILOG,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -70,7 +72,12 @@ def _taken(template: Function, given: dict[str, Any]) -> Any:
 
 
 def _until(
-    until: Annotated[str, typer.Option(help="The last stage to run.")] = "fabricate",
+    until: Annotated[
+        str,
+        typer.Option(
+            help="The last stage to run.", autocompletion=completion.choices(completion.stages)
+        ),
+    ] = "fabricate",
 ) -> str:
     if until not in standing.ORDER:
         raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
@@ -159,9 +166,10 @@ def _stage_command(name: str) -> None:
 
 
 def _register(name: str, command: Function, templates: list[Function], served: list[Stage]) -> None:
-    """Add a command. Its options are put together only if it may be the one that is called, or a
-    shell asks for completions: for all of them that takes as long as the rest of ``--help``."""
-    if name in sys.argv or any(key.endswith("_COMPLETE") for key in os.environ):
+    """Add a command. Its options are put together only if it may be the one that is called, or that
+    a shell asks to complete: for all of them that takes as long as the rest of ``--help``."""
+    completed = (os.environ.get(key, "") for key in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))
+    if name in [*sys.argv, *" ".join(completed).split()]:
         command = guarded(add_options(command, templates, served))
     else:
         command = add_options(command, [], [])
@@ -268,18 +276,30 @@ def report(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write report.html: what was measured, with pictures, from whatever stages are done."""
+    """Write report.html: what was measured, with pictures, from whatever stages are done.
+
+    Example: vorolight report --run bunny.vorolight
+    """
     _write_report(RunFolder.locate(run, None), Console(0 if quiet else 1, False, False), pictures)
 
 
 @app.command()
 @guarded
 def sample(
-    name: Annotated[str, typer.Argument(help="airplane, bone, bunny, chameleon, cow or cube.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="airplane, bone, bunny, chameleon, cow or cube.",
+            autocompletion=completion.choices(completion.samples),
+        ),
+    ],
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write a sample mesh, or the sample points, to the current folder."""
+    """Write a sample mesh, or the sample points, to the current folder.
+
+    Example: vorolight sample bunny
+    """
     from vorolight.stages.artifacts import atomic
     from vorolight.stages.sources.samples import sample as find
 

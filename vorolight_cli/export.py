@@ -10,6 +10,7 @@ import typer
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import ArtifactError
 
+from . import completion
 from .session import Quiet, Run, Verbose
 
 FORMATS = "vtu|openfoam|ovm|vtu-tetrahedra|msh|inp|ply|hdf5"
@@ -25,6 +26,7 @@ def export(
         str | None,
         typer.Option(
             help=f"[{FORMATS}] Default: by the suffix; openfoam takes a folder.",
+            autocompletion=completion.choices(lambda: FORMATS.split("|")),
             show_default=False,
         ),
     ] = None,

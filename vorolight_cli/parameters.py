@@ -5,13 +5,16 @@ from __future__ import annotations
 import inspect
 import tomllib
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
 from vorolight.stages.contract import Option, Params, Stage, options
 from vorolight.stages.errors import UsageError
+
+from . import completion
 
 Function = Callable[..., Any]
 
@@ -39,7 +42,7 @@ def parameter_names(stages: Sequence[Stage]) -> dict[str, dict[str, str]]:
 def _annotation(option: Option, name: str, group: str) -> Any:
     if option.positional:
         meaning = f"{option.meaning} [{'|'.join(get_args(option.type))}]"
-        return Annotated[str, typer.Argument(help=meaning)]
+        return Annotated[str, typer.Argument(help=meaning, autocompletion=_completion(option))]
     flag = "--" + name.replace("_", "-")
     if option.type is bool:
         flags = [f"{flag}/--no-{flag[2:]}"]
@@ -60,9 +63,17 @@ def _annotation(option: Option, name: str, group: str) -> Any:
     return Annotated[
         plain | None,
         typer.Option(
-            *flags, help=meaning, show_default=shown, rich_help_panel=f"Options of {group}"
+            *flags, help=meaning, show_default=shown, rich_help_panel=f"Options of {group}",
+            autocompletion=_completion(option),
         ),
-    ]
+    ]  # fmt: skip
+
+
+def _completion(option: Option) -> completion.Completion | None:
+    """Offers the choices of an option that has some."""
+    if get_origin(option.type) is not Literal:
+        return None
+    return completion.choices(partial(get_args, option.type))
 
 
 def add_options(

@@ -14,6 +14,7 @@ from vorolight.stages import standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import BackendMissing, UsageError
 
+from . import completion
 from .parameters import build, parameter_names, read_config
 from .session import Quiet, Verbose
 
@@ -29,7 +30,12 @@ def sbatch(
     submit: Annotated[
         bool, typer.Option("--submit", help="Submit the jobs and print their numbers.")
     ] = False,
-    until: Annotated[str, typer.Option(help="The last stage to run.")] = "fabricate",
+    until: Annotated[
+        str,
+        typer.Option(
+            help="The last stage to run.", autocompletion=completion.choices(completion.stages)
+        ),
+    ] = "fabricate",
     n: Annotated[
         int | None, typer.Option("-n", help="Voxels along the longest side.", min=2, max=100_000)
     ] = None,

@@ -12,6 +12,7 @@ from vorolight.stages import standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import UsageError
 
+from . import completion
 from .console import Console
 from .parameters import read_config
 
@@ -22,7 +23,8 @@ Input = Annotated[
     str | None,
     typer.Argument(
         help="A mesh, a point cloud, views (a folder or transforms.json), or a field: heart, "
-        "sphere, torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz)."
+        "sphere, torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz).",
+        autocompletion=completion.input_field,
     ),
 ]
 Field = Annotated[
@@ -41,6 +43,7 @@ Kind = Annotated[
     typer.Option(
         "--kind",
         help="What INPUT holds [mesh|points|field|views]. Default: recognised.",
+        autocompletion=completion.choices(completion.kinds),
         show_default=False,
     ),
 ]
@@ -55,8 +58,21 @@ Seed = Annotated[
     typer.Option(help="Seed of all randomness. Default: 0.", min=0, max=2**63, show_default=False),
 ]
 Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
-Device = Annotated[str, typer.Option(help="Where torch computes [cpu|cuda].")]
-Backend = Annotated[str, typer.Option(help="Delaunay library within iterations [scipy|shull].")]
+DEVICES = ("cpu", "cuda")
+Device = Annotated[
+    str,
+    typer.Option(
+        help="Where torch computes [cpu|cuda].",
+        autocompletion=completion.choices(lambda: DEVICES),
+    ),
+]
+Backend = Annotated[
+    str,
+    typer.Option(
+        help="Delaunay library within iterations [scipy|shull].",
+        autocompletion=completion.choices(completion.backends),
+    ),
+]
 MaxMemory = Annotated[
     float | None,
     typer.Option(
@@ -130,7 +146,7 @@ def common_options(
     """What every stage command can be told, besides the stage's own options."""
     from vorolight.stages.voronoi.delaunay import BACKENDS
 
-    if device not in ("cpu", "cuda"):
+    if device not in DEVICES:
         raise UsageError(f"--device {device}: must be cpu or cuda")
     if backend not in BACKENDS:
         raise UsageError(f"--backend {backend}: must be {' or '.join(BACKENDS)}")

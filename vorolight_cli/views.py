@@ -10,6 +10,7 @@ import typer
 
 from vorolight.stages.errors import BackendMissing, InputError, UsageError
 
+from . import completion
 from .console import Console
 from .session import AllowCode, Quiet, Threads, Verbose
 
@@ -29,6 +30,7 @@ def views(
         str | None,
         typer.Option(
             help="perspective or orthographic. Default: orthographic for 6 views.",
+            autocompletion=completion.choices(lambda: ("perspective", "orthographic")),
             show_default=False,
         ),
     ] = None,

@@ -1,0 +1,50 @@
+"""What a shell offers for an option's value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+Completion = Callable[[str], list[str]]
+
+
+def choices(found: Callable[[], Iterable[str]]) -> Completion:
+    """Offers what ``found`` gives, which is called only when a shell asks."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [value for value in found() if value.startswith(incomplete)]
+
+    return complete
+
+
+def kinds() -> Iterable[str]:
+    from vorolight.stages.sources.resolve import KINDS
+
+    return KINDS
+
+
+def backends() -> Iterable[str]:
+    from vorolight.stages.voronoi.delaunay import BACKENDS
+
+    return BACKENDS
+
+
+def samples() -> Iterable[str]:
+    from vorolight.stages.sources.samples import SAMPLES
+
+    return SAMPLES
+
+
+def stages() -> Iterable[str]:
+    from vorolight.stages.standing import ORDER
+
+    return ORDER
+
+
+def input_field(incomplete: str) -> list[str]:
+    """Built-in fields, where no file begins so: then the shell offers the files."""
+    from vorolight.stages.sources.fields import FIELDS
+
+    if not incomplete or any(Path().glob(f"{incomplete}*")):
+        return []
+    return [name for name in FIELDS if name.startswith(incomplete)]
