@@ -19,7 +19,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check schemas pictures clean always
+.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -166,6 +166,13 @@ check: $(VENV)/tested-with
 		-p vorolight.cli -p vorolight.schemas -p vorolight.stages
 	cd build/check && PYTHONPATH=site ../../$(BIN)/python -m vorolight.cli run sphere -n 6 \
 		--until volume --inner 20 --force --quiet
+
+# The wheel, built from the source archive, in clean environments of these Pythons.
+PYTHONS ?= python3.11 python3.12 python3.13
+packages: $(VENV)/tested-with
+	rm -rf build/packages
+	$(BIN)/python -m build --outdir build/packages .
+	$(BIN)/python tests/benchmarks/packages.py --wheel build/packages/*.whl $(PYTHONS)
 
 schemas: $(VENV)/installed
 	$(BIN)/python -m vorolight.schemas.build
