@@ -14,6 +14,8 @@ def stage_schema(name: str) -> dict[str, Any]:
     from vorolight.stages import standing
     from vorolight.stages.contract import params_schema
 
+    # What the others are made of, classify alone says.
+    inputs = {"inputs": {"minItems": 1}} if name == "classify" else {}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": schemas.identifier(name),
@@ -23,6 +25,7 @@ def stage_schema(name: str) -> dict[str, Any]:
             "schema": {"const": schemas.identifier(name)},
             "stage": {"const": name},
             "params": params_schema(standing.get(name).params),
+            **inputs,
         },
     }
 

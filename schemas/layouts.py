@@ -56,10 +56,18 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
             ("Tp", 3), "i", "of the surface made of the input", optional=True, into="Vp"
         ),
         "source/kept": Layout(("P",), "b", "points that do not lie out", optional=True),
-        "source/noise": Layout((), "f", "standard deviation of the points", optional=True),
-        "source/point_spacing": Layout((), "f", "typical spacing of the points", optional=True),
-        "source/normals_agreement": Layout((), "f", "share of the given normals", optional=True),
-        "source/missed": Layout((), "f", "share of the points off the surface", optional=True),
+        "source/noise": Layout(
+            (), "f", "standard deviation of the points", optional=True, undefined=True
+        ),
+        "source/point_spacing": Layout(
+            (), "f", "typical spacing of the points", optional=True, undefined=True
+        ),
+        "source/normals_agreement": Layout(
+            (), "f", "share of the given normals", optional=True, undefined=True
+        ),
+        "source/missed": Layout(
+            (), "f", "share of the points off the surface", optional=True, undefined=True
+        ),
         "source/agreement": Layout(
             ("W",), "f", "of views: intersection over union of mask and surface", optional=True
         ),

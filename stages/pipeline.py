@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import shutil
 import socket
@@ -19,7 +20,7 @@ from . import memory
 from .artifacts import atomic, fingerprint, lock, log, manifest, randomness, requeue
 from .artifacts.run_folder import RunFolder
 from .contract import Context, Params, Stage, options
-from .errors import ArtifactError, BackendMissing, InputError, UsageError
+from .errors import ArtifactError, BackendMissing, InputError, Locked, UsageError
 from .sources.resolve import Identity, identify, kind_of
 from .standing import (
     Session,
@@ -54,6 +55,7 @@ def execute(session: Session, name: str, params: Params) -> Result:
     stage = get(name)
     found = _standing(session, stage, params)
     if found is not None:
+        _tidy(session.folder, stage.stem_of(params), found.manifest["fingerprint"])
         return found
     source = input_of(session)
     if source is None:
@@ -77,6 +79,18 @@ def execute(session: Session, name: str, params: Params) -> Result:
     finally:
         _remove_unused(session.folder, created)
     return Result(written, ran=True, reason=now.reason)
+
+
+def _tidy(run: RunFolder, stem: str, digest: str) -> None:
+    """Remove what a process that was killed after its result was written had no time for."""
+    checkpoints, staging = run.checkpoints(stem, digest), run.path / f".{stem}{atomic.STAGING}"
+    dead = (run.path / lock.NAME).exists() and lock.holder(run.path) is None
+    if not (dead or staging.exists() or checkpoints.folder.parent.exists()):
+        return
+    # Where another process is at work, or nothing can be written, what is left is in nobody's way.
+    with contextlib.suppress(Locked, UsageError), lock.locked(run.path):
+        atomic.sweep(run.path)
+        checkpoints.clear()
 
 
 def _remove_unused(run: RunFolder, created: list[Path]) -> None:
@@ -260,7 +274,7 @@ def _remove_left_over(folder: RunFolder, stem: str, roles: set[str]) -> None:
     for entry in (folder.manifest(stem) or {}).get("outputs", []):
         path = folder.path / str(entry["path"])
         if entry["role"] not in roles and path.name == f"{stem}.{entry['role']}":
-            path.unlink(missing_ok=True)
+            atomic.remove(path)
 
 
 def _input_entry(role: str, source: Identity, folder: Path) -> dict[str, Any]:

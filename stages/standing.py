@@ -11,7 +11,7 @@ from typing import Any
 from .artifacts import fingerprint, manifest
 from .artifacts.run_folder import RunFolder
 from .contract import Params, Progress, Silent, Stage, options
-from .errors import ArtifactError, InputError
+from .errors import ArtifactError, InputError, UsageError
 from .sources.resolve import Identity, identify, identify_field, identify_path
 
 ORDER = ("classify", "init", "sphere-train", "volume", "shade", "evaluate", "fabricate")
@@ -144,7 +144,7 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
     if params is None:
         stem = stage.stem_of(stage.params())
         stored = session.folder.manifest(stem)
-        params = stage.params(**_known(stage, stored["params"])) if stored else stage.params()
+        params = _recorded_params(session.folder, stage, stored) if stored else stage.params()
         settings = {key: stored[key] if stored else getattr(session, key) for key in SETTINGS}
     else:
         stored = session.folder.manifest(stage.stem_of(params))
@@ -182,6 +182,16 @@ def state(session: Session, name: str, params: Params | None = None) -> State:
 def _known(stage: Stage, recorded: dict[str, Any]) -> dict[str, Any]:
     names = {option.name for option in options(stage.params)}
     return {key: value for key, value in recorded.items() if key in names}
+
+
+def _recorded_params(folder: RunFolder, stage: Stage, stored: manifest.Manifest) -> Params:
+    try:
+        return stage.params(**_known(stage, stored["params"]))
+    except UsageError as error:  # they were written by another hand
+        raise ArtifactError(
+            f"{folder.path}: the manifest of {stage.name} has options that cannot be ({error}); "
+            f"run: vorolight {stage.name} --force"
+        ) from error
 
 
 def takes_input(stage: Stage) -> bool:
@@ -241,7 +251,7 @@ def overall(session: Session) -> list[State]:
     stage = get("evaluate")
     for path in sorted(session.folder.path.glob("evaluate-*.json")):
         stored = manifest.read(path)
-        states.append(state(session, "evaluate", stage.params(**_known(stage, stored["params"]))))
+        states.append(state(session, "evaluate", _recorded_params(session.folder, stage, stored)))
     return states
 
 

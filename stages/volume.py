@@ -207,6 +207,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     """From the trained surface where the certificate holds, else from the real interface."""
     import numpy as np
 
+    from .artifacts.manifest import foreign
     from .errors import NumericalFailure
     from .surface.polygons import PolygonMesh
     from .voronoi.boundary import Boundary
@@ -219,11 +220,15 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     within = frame.model_from_input(trained["generators/inside"])
     boundary = np.concatenate([within, frame.model_from_input(trained["generators/outside"])])
     count, labels = len(within), np.arange(len(boundary)) < len(within)
-    recorded: dict[str, Any] = context.folder.manifest("sphere-train") or {}
-    metrics = recorded["metrics"]
+    with foreign("sphere-train.json"):
+        recorded: dict[str, Any] = context.folder.manifest("sphere-train") or {}
+        metrics = recorded["metrics"]
+        certified, merged = bool(metrics["certificate"]["holds"]), float(metrics["merged_within"])
+        reach = float(recorded["params"]["merge"])
+        failed = ", ".join(metrics["certificate"].get("failed") or [])
     radii = trained["spheres/radius"] / frame.spacing
 
-    if metrics["certificate"]["holds"]:
+    if certified:
         # As far outside the spheres as the certificate asks.
         guard = Guard(boundary, labels, surface.vertices, np.sqrt(radii**2 + 2 * MARGIN))
 
@@ -242,14 +247,14 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
         return _Bounded(guard, Boundary.certified(surface), still_certified, [])
 
     raw = interface(boundary, labels)
-    drawn = metrics["merged_within"] > 0
+    drawn = merged > 0
     anchors = PolygonMesh.from_arrays(trained, "trained/").vertices
 
     def cleaned(raw: VoronoiSurface) -> CleanSurface:
         """As sphere-train did."""
         return clean(
             raw, 1.0, anchors=frame.model_from_input(anchors) if drawn else None,
-            reach=recorded["params"]["merge"] if drawn else 0.0,
+            reach=reach if drawn else 0.0,
         )  # fmt: skip
 
     def again(generators: Floats, inside: Any, diagram: Any) -> tuple[Boundary, int]:
@@ -274,7 +279,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
             "generators; run: vorolight sphere-train"
         )
     warning = (
-        f"the surface has no certificate ({', '.join(metrics['certificate']['failed'])} fails): "
+        f"the surface has no certificate ({failed} fails): "
         "the cells end at the interface of its generators"
     )
     guard = Guard.of(boundary, labels, raw)

@@ -145,7 +145,7 @@ def test_views_run_to_colours_on_the_surface(run: Path, cli: Cli) -> None:
     glb = trimesh.load(run / "shade.glb", force="mesh", process=False)
     assert glb.is_watertight
     assert len(np.unique(np.asarray(glb.visual.vertex_colors), axis=0)) > 50
-    arrays, _ = hdf5.decode(run / "shade.h5", "shade")
+    arrays, _ = hdf5.read(run / "shade.h5", "shade")
     assert arrays["shader/position.0.weight"].shape == (64, 27)
 
 
@@ -199,7 +199,7 @@ def test_the_paper_trains_on_pictures(run: Path, cli: Cli, tmp_path: Path) -> No
     done = cli("sphere-train", "--preset", "paper", "--faces", "polygon", "--iterations", 20,
                "--run", "seen.vorolight", cwd=folder)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    history = hdf5.decode(folder / "seen.vorolight" / "sphere-train.h5", "sphere-train")[0][
+    history = hdf5.read(folder / "seen.vorolight" / "sphere-train.h5", "sphere-train")[0][
         "history"
     ]
     assert history[-1, 2] < history[0, 2]
@@ -236,7 +236,7 @@ def test_six_views_of_a_known_mesh(tmp_path: Path, cli: Cli) -> None:
     done = cli("classify", "photo-views", "-n", 10, "--quiet", "--preview", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "photo-views.vorolight" / "classify.png").is_file()
-    arrays, _ = hdf5.decode(tmp_path / "photo-views.vorolight" / "classify.h5", "classify")
+    arrays, _ = hdf5.read(tmp_path / "photo-views.vorolight" / "classify.h5", "classify")
     # On the ellipsoid that was drawn, to a few thousandths of its size.
     at = (arrays["source/vertices"] - [0.05, 0.0, 0.02]) / [0.5, 0.4, 0.3]
     assert np.abs(np.linalg.norm(at, axis=1) - 1).max() < 0.05

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import errno
 import json
 import os
 from collections.abc import Callable
@@ -15,10 +16,22 @@ import pytest
 from vorolight import schemas
 from vorolight.schemas import layouts
 from vorolight.stages import memory
-from vorolight.stages.artifacts import atomic, fingerprint, hdf5, lock, manifest, randomness
+from vorolight.stages.artifacts import (
+    atomic,
+    fingerprint,
+    hdf5,
+    lock,
+    log,
+    manifest,
+    processes,
+    randomness,
+    requeue,
+)  # fmt: skip
 from vorolight.stages.artifacts.checkpoints import Checkpoints
+from vorolight.stages.artifacts.manifest import read as read_manifest
 from vorolight.stages.artifacts.run_folder import RunFolder
-from vorolight.stages.errors import ArtifactError, Locked, UsageError
+from vorolight.stages.contract import Silent
+from vorolight.stages.errors import ArtifactError, Locked, Stopped, UsageError
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: Any) -> None:
@@ -50,11 +63,23 @@ def test_lock(tmp_path: Path) -> None:
         with pytest.raises(Locked, match="held by process"), lock.locked(tmp_path):
             pass
     assert not (tmp_path / lock.NAME).exists()
-    dead = json.dumps({"host": os.uname().nodename, "pid": 999999999, "start": 0})
+    mine = {"host": os.uname().nodename, "pid": os.getpid()}
+    assert lock.holder(tmp_path) is None
+    other = mine | {"pid": os.getppid(), "start": processes.start_of(os.getppid())}
+    (tmp_path / lock.NAME).write_text(json.dumps(other))
+    assert lock.holder(tmp_path)["pid"] == os.getppid()
+    with pytest.raises(Locked, match="held by process"), lock.locked(tmp_path):
+        pass
+    # Its number has gone to another process since.
+    (tmp_path / lock.NAME).write_text(json.dumps(other | {"start": "an earlier one"}))
+    assert lock.holder(tmp_path) is None
+    with lock.locked(tmp_path) as notes:
+        assert "took over" in notes[0]
+    dead = json.dumps(mine | {"pid": 999999999, "start": 0})
     (tmp_path / lock.NAME).write_text(dead)
     with lock.locked(tmp_path) as notes:
         assert "took over" in notes[0]
-    reborn = json.dumps({"host": os.uname().nodename, "pid": os.getpid(), "start": 0})
+    reborn = json.dumps(mine | {"start": 0})
     (tmp_path / lock.NAME).write_text(reborn)  # a container gave us our predecessor's number
     with lock.locked(tmp_path) as notes:
         assert "took over" in notes[0]
@@ -64,20 +89,103 @@ def test_lock(tmp_path: Path) -> None:
         pass
 
 
+def test_a_job_that_is_started_again_takes_its_lock_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SLURM_JOB_ID", "17")
+    there = {"host": "another node", "pid": 1, "start": 0}
+    for job, taken in ((":17", True), (":18", False), (None, False)):
+        (tmp_path / lock.NAME).write_text(json.dumps(there | {"job": job}))
+        if taken:
+            with lock.locked(tmp_path) as notes:
+                assert "took over" in notes[0]
+        else:
+            with pytest.raises(Locked, match="another node"), lock.locked(tmp_path):
+                pass
+
+
+def test_locks_where_there_are_no_hard_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+    with (
+        lock.locked(tmp_path),
+        pytest.raises(Locked, match="held by process"),
+        lock.locked(tmp_path),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_checkpoints_cost_little_and_end_a_process_that_was_asked_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[tuple[str, dict[str, Any]]] = []
+    mine = Checkpoints(
+        tmp_path / "init", "a" * 64, lambda event, **facts: told.append((event, facts))
+    )
+    mine.save(1, lambda: {"x": np.zeros(3)})
+    mine.save(2, lambda: {"x": np.zeros(3)})  # too soon: it would cost more than two percent
+    assert mine.latest()[0] == 1
+    monkeypatch.setattr(requeue, "_asked", True)
+    with pytest.raises(Stopped, match="goes on from there"):
+        mine.save(3, lambda: {"x": np.zeros(3)})
+    assert mine.latest()[0] == 3
+    assert [event for event, _ in told] == ["checkpoint", "resumed", "checkpoint", "resumed"]
+
+
+def test_touch_is_never_before_the_parents(tmp_path: Path) -> None:
+    parent, child = tmp_path / "parent", tmp_path / "child"
+    parent.touch()
+    child.touch()
+    future = 2**32 * 10**9  # the clock was set back since
+    os.utime(parent, ns=(future, future))
+    atomic.touch(child, [parent])
+    assert child.stat().st_mtime_ns == future
+    atomic.touch(child)
+    assert child.stat().st_mtime_ns < future
+
+
+def test_logs_go_on_after_a_torn_line(tmp_path: Path) -> None:
+    for number in range(2):
+        told = log.StageLog(tmp_path, "init", Silent())
+        told.event("start", number=number)
+        told.start("init", 1000)
+        for done in range(1000):
+            told.advance(done)
+        told.close()
+        with open(tmp_path / "logs" / "init.jsonl", "a") as stream:
+            stream.write('{"event": "torn')
+    events = log.read(tmp_path, "init")
+    assert [event["number"] for event in events if event["event"] == "start"] == [0, 1]
+    assert sum(event["event"] == "progress" for event in events) == 20  # one a tenth
+    assert {type(event["time"]) for event in events} == {str}
+
+
 def test_checkpoints(tmp_path: Path) -> None:
     mine = Checkpoints(tmp_path / "checkpoints" / "init", "a" * 64)
     assert mine.latest() is None
     for iteration in (10, 20, 30):
-        mine.save(iteration, {"x": np.full(3, iteration)})
+        mine.save(iteration, lambda iteration=iteration: {"x": np.full(3, iteration)})
+        mine._cost = 0.0  # the next one is due at once
     assert len(list(mine.folder.iterdir())) == 2
     assert mine.latest()[0] == 30
     (mine.folder / "000030.h5").write_bytes(b"torn")
     iteration, arrays = mine.latest()
     assert iteration == 20
+    kept = mine.folder / "000020.h5"
+    whole = kept.read_bytes()
+    place = whole.index(np.full(3, 20).tobytes())
+    kept.write_bytes(whole[:place] + b"\x15" + whole[place + 1 :])  # 21 for 20: still an HDF5 file
+    assert mine.latest() is None
+    kept.write_bytes(whole)
     assert arrays["x"].tolist() == [20, 20, 20]
     other = Checkpoints(mine.folder.parent, "b" * 64)
     assert other.latest() is None
-    other.save(10, {"x": np.zeros(3)})
+    other.save(10, lambda: {"x": np.zeros(3)})
     assert other.latest()[0] == 10  # the later ones of a run with other options do not push it out
     mine.clear()
     assert list(tmp_path.iterdir()) == []
@@ -94,7 +202,7 @@ def test_hdf5_bytes_are_reproducible_and_laid_out(tmp_path: Path) -> None:
     assert data == hdf5.encode("classify", arrays, {"stage": "classify"})
     path = tmp_path / "classify.h5"
     path.write_bytes(data)
-    found, attributes = hdf5.decode(path, "classify")
+    found, attributes = hdf5.read(path, "classify")
     assert found["interior"].shape == (9, 8, 7)
     assert attributes["stage"] == "classify"
     with pytest.raises(ValueError, match="shape"):
@@ -102,7 +210,7 @@ def test_hdf5_bytes_are_reproducible_and_laid_out(tmp_path: Path) -> None:
     for cut in (0, 10, len(data) // 2):
         path.write_bytes(data[:cut])
         with pytest.raises(ArtifactError, match="--force"):
-            hdf5.decode(path, "classify")
+            hdf5.read(path, "classify")
 
 
 def test_layout_names_the_fault() -> None:
@@ -131,7 +239,7 @@ def test_randomness_is_counter_based() -> None:
         assert not np.array_equal(first, randomness.generator(*other).random(4))
 
 
-def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]]) -> None:
+def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
     good = manifest("init")
     schemas.validate(good)
     schemas.validate(good | {"unknown": 1})
@@ -140,6 +248,7 @@ def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]]) -> Non
         (("params", "iterations"), "many"),
         (("params", "iterations"), -1),
         (("outputs", 0, "path"), "../elsewhere.h5"),
+        (("outputs", 0, "path"), ".."),
         (("stage",), "volume"),
     ):
         bad = copy.deepcopy(good)
@@ -149,6 +258,19 @@ def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]]) -> Non
         place[path[-1]] = value
         with pytest.raises(ValueError, match="breaks its schema"):
             schemas.validate(bad)
+    path = tmp_path / "init.json"
+    path.write_text(json.dumps(good))
+    assert read_manifest(path) == good
+    for part in (good["metrics"], good["volatile"]["mtime_ns"]):
+        part["another"] = 12345
+        path.write_text(json.dumps(good))
+        with pytest.raises(ArtifactError, match="not as it was written"):
+            read_manifest(path)
+        del part["another"]
+    for text in ("[" * 100_000, '{"a": NaN}', '{"a": 1e999}', "", "[]", "{}"):
+        path.write_text(text)
+        with pytest.raises(ArtifactError, match=r"init\.json"):
+            read_manifest(path)
     newer = good | {"schema": "urn:vorolight:manifest:99:init"}
     with pytest.raises(ValueError, match="upgrade"):
         schemas.validate(newer)

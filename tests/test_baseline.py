@@ -13,7 +13,7 @@ from conftest import Cli, fibonacci, sphere_mesh, write_ply
 from test_sources import write_obj
 
 from vorolight.stages import baseline, classify, pipeline, standing
-from vorolight.stages.artifacts.hdf5 import decode
+from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.baselines import voromesh
 from vorolight.stages.baselines.sampling import even
@@ -135,7 +135,7 @@ def sphere(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
 
 
 def test_sphere_from_the_command_line(sphere: Path) -> None:
-    arrays, _ = decode(sphere / "baseline.h5", "baseline")
+    arrays, _ = read(sphere / "baseline.h5", "baseline")
     record = json.loads((sphere / "baseline.json").read_text())
     mesh = PolygonMesh.from_arrays(arrays, "surface/")
     radius = np.linalg.norm(mesh.vertices, axis=1)

@@ -11,7 +11,7 @@ from conftest import random_rotation, sphere_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vorolight.stages.artifacts.hdf5 import decode
+from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.surface.edge_table import Sized
 from vorolight.stages.surface.polygons import PolygonMesh
@@ -184,7 +184,7 @@ def independent(vertices: np.ndarray, triangles: np.ndarray, inside: np.ndarray,
 
 
 def trained(run: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    arrays = decode(run / "sphere-train.h5", "sphere-train")[0]
+    arrays = read(run / "sphere-train.h5", "sphere-train")[0]
     return (
         arrays["surface/vertices"], arrays["surface/face_vertices"].reshape(-1, 3),
         arrays["generators/inside"], arrays["generators/outside"],

@@ -244,9 +244,9 @@ def test_turned_and_scaled_meshes_give_the_same_surface(tmp_path: Path, cli: Cli
             done = cli(*words, *where, cwd=tmp_path)
             assert done.returncode == 0, done.stderr
     runs = [tmp_path / f"{name}.vorolight" for name in "abc"]
-    from vorolight.stages.artifacts.hdf5 import decode
+    from vorolight.stages.artifacts.hdf5 import read
 
-    first, second = (decode(run / "sphere-train.h5", "sphere-train")[0] for run in runs[:2])
+    first, second = (read(run / "sphere-train.h5", "sphere-train")[0] for run in runs[:2])
     assert np.array_equal(4 * first["surface/vertices"], second["surface/vertices"])
     assert np.array_equal(first["surface/face_vertices"], second["surface/face_vertices"])
     figures = [result(run, "evaluate-sphere-train") for run in runs]

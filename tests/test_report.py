@@ -139,6 +139,7 @@ def changed(run: Path, stem: str, change: Callable[[dict[str, Any]], None]) -> N
     path = run / f"{stem}.json"
     manifest = json.loads(path.read_text())
     change(manifest)
+    del manifest["checksum"]
     path.write_text(json.dumps(manifest))
 
 

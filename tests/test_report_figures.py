@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import sphere_mesh
 
-from vorolight.stages.artifacts.hdf5 import decode
+from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.report import comparison, simplify, surfaces, tables
 from vorolight.stages.surface.topology import topology
 
@@ -18,7 +18,7 @@ from vorolight.stages.surface.topology import topology
 def test_residuals_are_those_of_the_training(
     heart_run: Path, manifest: Callable[[str], dict[str, Any]]
 ) -> None:
-    arrays = decode(heart_run / "sphere-train.h5", "sphere-train")[0]
+    arrays = read(heart_run / "sphere-train.h5", "sphere-train")[0]
     found = surfaces.residuals(arrays, float(manifest("classify")["metrics"]["spacing"]))
     valences = np.diff(arrays["trained/face_offsets"])
     whole = np.sqrt((found**2 * valences).sum() / valences.sum())

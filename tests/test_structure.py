@@ -17,8 +17,8 @@ from vorolight.stages.contract import options
 
 ROOT = Path(__file__).parent.parent
 FOLDERS = {"cli": "vorolight_cli", "stages": "stages", "schemas": "schemas"}
-# What every layer may use: the exceptions, and what makes machine code and torch ready.
-LEAVES = {"errors", "compiled", "torch_start"}
+# What every layer may use: the exceptions, memory, and what makes machine code and torch ready.
+LEAVES = {"errors", "compiled", "memory", "torch_start"}
 
 
 def modules() -> list[Path]:

@@ -106,6 +106,13 @@ def guarded(function: Function) -> Function:
             raise typer.Exit(error.exit_code) from None
         except typer.Exit:
             raise
+        except OSError as error:
+            if kwargs.get("verbose"):
+                traceback.print_exc()
+            place = error.filename or "a file"
+            print(f"vorolight: {place}: {error.strerror or error}; mend that, and run again",
+                  file=sys.stderr)  # fmt: skip
+            raise typer.Exit(UsageError.exit_code) from None
         # Whatever else arrives here is a fault of ours; the user still gets one sentence.
         except Exception as error:
             if kwargs.get("verbose"):

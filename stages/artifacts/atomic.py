@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -31,12 +32,26 @@ def write(path: Path, data: bytes) -> None:
                 os.fsync(stream.fileno())
             os.replace(temporary, path)
         finally:
-            temporary.unlink(missing_ok=True)
+            discard(temporary)
         _sync_folder(path.parent)
     except OSError as error:
         raise UsageError(
             f"{path}: cannot be written ({error.strerror}); choose a folder you can write to"
         ) from error
+
+
+def discard(path: Path) -> None:
+    """Remove a file that is in nobody's way: where that fails, the next start tries again."""
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, if it is there. Raises UsageError when that is not allowed."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be removed ({error.strerror})") from error
 
 
 def move(source: Path, target: Path) -> None:
@@ -74,7 +89,7 @@ def sweep(folder: Path) -> None:
     for entry in folder.glob(".*"):
         match = _TEMPORARY.match(entry.name)
         if match and not processes.runs(int(match.group(1))):
-            entry.unlink(missing_ok=True)
+            discard(entry)
         elif entry.name.endswith(STAGING) and entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry, ignore_errors=True)
 

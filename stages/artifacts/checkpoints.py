@@ -47,7 +47,7 @@ class Checkpoints:
         atomic.make_folder(self.folder)
         atomic.write(self.folder / f"{iteration:06d}.h5", data)
         for old in self._files()[:-KEPT]:
-            old.unlink(missing_ok=True)
+            atomic.discard(old)
         self._written = time.monotonic()
         self._cost = self._written - begun
         self.tell("checkpoint", iteration=iteration, bytes=len(data), seconds=round(self._cost, 4))
@@ -57,7 +57,7 @@ class Checkpoints:
         """The newest readable state of this fingerprint, or None."""
         for path in reversed(self._files()):
             try:
-                arrays, attributes = hdf5.decode(path, None)
+                arrays, attributes = hdf5.read(path, None)
             except ArtifactError as error:
                 self.tell("checkpoint ignored", reason=str(error))
                 continue

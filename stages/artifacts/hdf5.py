@@ -13,7 +13,6 @@ from vorolight.schemas import layouts
 
 from .. import memory
 from ..errors import ArtifactError
-from . import fingerprint
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -50,22 +49,23 @@ def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str
     return buffer.getvalue()
 
 
-def decode(
-    path: Path, stage: str | None, sha256: str | None = None
-) -> tuple[Arrays, dict[str, Any]]:
-    """The arrays and attributes of an HDF5 file: those of the layout of ``stage``, or all of them.
-
-    ``sha256`` is what the file must hold. Raises ArtifactError when it is missing, damaged, another
-    one, or laid out differently; before anything is unpacked, when it would be too large.
-    """
+def read(path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
+    """As ``decode``, of a file. Raises ArtifactError for one that cannot be read, too."""
     if not path.is_file():
         raise ArtifactError(f"{path}: missing; run the stage that writes it")
     try:
         raw = path.read_bytes()
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror})") from error
-    if sha256 is not None and fingerprint.of_bytes(raw) != sha256:
-        raise ArtifactError(f"{path}: changed since it was written; run its stage again")
+    return decode(raw, path, stage)
+
+
+def decode(raw: bytes, path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
+    """The arrays and attributes of an HDF5 file: those of the layout of ``stage``, or all of them.
+
+    Raises ArtifactError, which names ``path``, when they are damaged or laid out differently;
+    before anything is unpacked, when it would be too large.
+    """
     try:
         arrays, attributes = _unpacked(raw, None if stage is None else layouts.LAYOUTS[stage])
         if stage is not None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import Locked, UsageError
-from . import processes
+from . import atomic, processes
 
 NAME = ".lock"
 _HELD: set[Path] = set()
@@ -44,13 +44,13 @@ def locked(folder: Path) -> Iterator[list[str]]:
             f"{folder}: cannot be written to ({error.strerror}); choose another --run"
         ) from error
     finally:
-        whole.unlink(missing_ok=True)
+        atomic.discard(whole)
     _HELD.add(path)
     try:
         yield warnings
     finally:
         _HELD.discard(path)
-        path.unlink(missing_ok=True)
+        atomic.discard(path)
 
 
 def _put(whole: Path, path: Path) -> None:
@@ -69,7 +69,7 @@ def _put(whole: Path, path: Path) -> None:
 def release_all() -> None:
     """Give up every lock of this process, for one that ends without unwinding."""
     for path in _HELD:
-        path.unlink(missing_ok=True)
+        atomic.discard(path)
 
 
 def _holder() -> dict[str, Any]:
@@ -110,8 +110,6 @@ def _take_over(path: Path) -> list[str]:
     again = job is not None and job == ours["job"] and (host, pid) != (ours["host"], ours["pid"])
     if host != ours["host"] and not again:
         raise Locked(f"{path}: held by process {pid} on {host}; wait, or delete the file")
-    if host == ours["host"] and path in _HELD and pid == ours["pid"]:
-        raise Locked(f"{path}: held by this process; wait for it")
     # A number may be given out again, after a restart or in a container.
     if host == ours["host"] and processes.runs(pid, start):
         raise Locked(f"{path}: held by process {pid}; wait for it, or stop it")
@@ -125,5 +123,5 @@ def _take_over(path: Path) -> list[str]:
         # Between our look and our move a living process had taken it: give it back.
         os.replace(aside, path)
         return []
-    aside.unlink(missing_ok=True)
+    atomic.discard(aside)
     return [f"took over the lock of process {pid}, which no longer runs"]

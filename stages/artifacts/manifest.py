@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +79,21 @@ def _no_number(text: str) -> float:
 def _finite(text: str) -> float:
     number = float(text)
     return number if math.isfinite(number) else _no_number(text)
+
+
+@contextmanager
+def foreign(where: str) -> Iterator[None]:
+    """Around the use of figures that a manifest of another hand may not have, or have otherwise.
+
+    Raises ArtifactError in place of what is raised over them.
+    """
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError) as error:
+        raise ArtifactError(
+            f"{where}: a figure is missing or not as this version writes it "
+            f"({type(error).__name__}: {error}); run its stage again with --force"
+        ) from error
 
 
 def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import ArtifactError, UsageError
 from . import manifest
+from .fingerprint import of_bytes
 
 if TYPE_CHECKING:
     from .checkpoints import Checkpoints
@@ -59,21 +60,37 @@ class RunFolder:
         path = self.file(stem, "json")
         return manifest.read(path) if path.is_file() else None
 
-    def arrays(self, stem: str, layout: str) -> Arrays:
-        """The arrays of a finished stage, the very ones that it wrote.
+    def output(self, stem: str, suffix: str) -> bytes:
+        """What a file of a finished stage holds, the very bytes that the stage wrote.
 
         Raises ArtifactError when they are not there, or others are.
         """
-        stored = self.manifest(stem)
+        path, stored = self.file(stem, suffix), self.manifest(stem)
         if stored is None:
             raise ArtifactError(f"{self.path}: stage {stem} is not done; run: vorolight {stem}")
+        sums = [entry["sha256"] for entry in stored["outputs"] if entry["path"] == path.name]
+        if not sums:
+            raise ArtifactError(f"{path}: not in the manifest of its stage; run it again")
+        if not path.exists():
+            raise ArtifactError(f"{path}: missing; run: vorolight {stored['stage']}")
+        if not manifest.leads_inside(path):
+            raise ArtifactError(f"{path}: no file of this folder; delete it and run its stage")
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise ArtifactError(f"{path}: cannot be read ({error.strerror})") from error
+        if of_bytes(data) != sums[0]:
+            raise ArtifactError(
+                f"{path}: changed since it was written; run: vorolight {stored['stage']}"
+            )
+        return data
+
+    def arrays(self, stem: str, layout: str) -> Arrays:
+        """The arrays of a finished stage. Raises ArtifactError as ``output`` and for those that are
+        not laid out as ``layout`` says."""
         from .hdf5 import decode
 
-        path = self.file(stem, "h5")
-        sums = [entry["sha256"] for entry in stored["outputs"] if entry["path"] == path.name]
-        if not sums or (path.exists() and not manifest.leads_inside(path)):
-            raise ArtifactError(f"{path}: not among the files of its manifest; run its stage again")
-        return decode(path, layout, sums[0])[0]
+        return decode(self.output(stem, "h5"), self.file(stem, "h5"), layout)[0]
 
     def checkpoints(
         self, stem: str, fingerprint: str, tell: Callable[..., None] = lambda event, **facts: None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..artifacts import atomic
-from ..artifacts.manifest import Manifest
+from ..artifacts.manifest import Manifest, foreign
 from ..artifacts.run_folder import RunFolder
 from ..render import image_file
 from . import viewer
@@ -73,6 +73,11 @@ def write(runs: Sequence[Compared], target: Path) -> None:
 
     Raises ArtifactError when the file of a finished stage is missing or damaged.
     """
+    with foreign(" or ".join(str(run.folder.path) for run in runs)):
+        _write(runs, target)
+
+
+def _write(runs: Sequence[Compared], target: Path) -> None:
     differs = difference(runs)
     collected = [collect(run.folder) for run in runs]
     panels = _panels(runs, collected)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..artifacts import atomic
-from ..artifacts.manifest import Manifest, read
+from ..artifacts.manifest import Manifest, foreign, read
 from ..artifacts.run_folder import RunFolder
 from ..errors import ArtifactError
 from ..render import image_file
@@ -49,6 +49,11 @@ def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = N
 
     Raises ArtifactError when no stage is done, or the file of one is missing or damaged.
     """
+    with foreign(str(folder.path)):
+        return _write(folder, stale, pictures)
+
+
+def _write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None) -> Path:
     manifests = manifests_of(folder)
     measured = {key: found for key, found in manifests.items() if key.startswith("evaluate-")}
     collected = collect(folder)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..artifacts.run_folder import RunFolder
-from ..errors import ArtifactError
 from ..render import image_file, lit, raster
 from ..sources.resolve import up_axis
 from ..surface.geometry import fan_triangles
@@ -77,18 +76,19 @@ def cutaway(folder: RunFolder, size: int = 480) -> Floats | None:
 def printed(folder: RunFolder) -> tuple[Floats, Ints]:
     """Vertices in mm and triangles of the object that fabricate wrote.
 
-    Raises ArtifactError when its file is damaged.
+    Raises ArtifactError when its file is not the one that was written.
     """
     from ..export import ply
 
-    path = folder.file("fabricate", "ply")
-    try:
-        mesh = ply.read(path)
-    except (OSError, ValueError, KeyError) as error:
-        raise ArtifactError(f"{path}: damaged ({error}); run: vorolight fabricate") from error
-    if mesh is None:
-        raise ArtifactError(f"{path}: is not the file fabricate wrote; run: vorolight fabricate")
+    mesh = ply.decode(folder.output("fabricate", "ply"))
+    assert mesh is not None
     return mesh.vertices, mesh.face_vertices.reshape(-1, 3)
+
+
+def _picture(folder: RunFolder, stage: str, role: str) -> NDArray[np.uint8]:
+    """A picture that a stage wrote, if it still is that one."""
+    folder.output(stage, role)
+    return image_file.read(folder.file(stage, role))
 
 
 def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
@@ -102,7 +102,7 @@ def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
     view = raster.view("z", lit.AZIMUTH, lit.ELEVATION)
     day = raster.shaded(vertices, triangles, None, PRINT, view, size, size)
     if any(entry["role"] == "png" for entry in stored["outputs"]):
-        night = image_file.read(folder.file("fabricate", "png"))[..., :3] / 255
+        night = _picture(folder, "fabricate", "png")[..., :3] / 255
         return np.concatenate([night, day], axis=1)
     light = stored["metrics"].get("light")
     if light is None:
@@ -117,11 +117,11 @@ def appearance(folder: RunFolder) -> Floats | None:
     """Four pictures of the orbit that stage shade drew, if it did."""
     stored = folder.manifest("shade")
     outputs = stored["outputs"] if stored else []
-    names = [entry["path"] for entry in outputs if entry["role"].startswith("orbit-")]
-    if not names:
+    roles = [entry["role"] for entry in outputs if entry["role"].startswith("orbit-")]
+    if not roles:
         return None
-    shown = [names[k * len(names) // 4] for k in range(min(4, len(names)))]
-    return np.concatenate([image_file.read(folder.path / name) / 255 for name in shown], axis=1)
+    shown = [roles[k * len(roles) // 4] for k in range(min(4, len(roles)))]
+    return np.concatenate([_picture(folder, "shade", role) / 255 for role in shown], axis=1)
 
 
 PICTURES = {"surfaces": surfaces, "appearance": appearance, "cutaway": cutaway, "lamp": lamp}

@@ -183,8 +183,7 @@ def _stages(folder: RunFolder) -> Iterator[Shape]:
         half, _, _, inner = cut_open(folder)
         half = half.without_unused_vertices()
         yield Shape("cut", "Volume, cut open", "volume", half, tint=inner)
-    # A stage of its own reader: whatever wrote it says what its surface is.
-    if folder.file("baseline", "json").is_file():
+    if folder.manifest("baseline") is not None:
         mesh = PolygonMesh.from_arrays(folder.arrays("baseline", "baseline"), "surface/")
         yield _fewer(Shape("baseline", "Baseline", "baseline", mesh))
 
