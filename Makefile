@@ -12,20 +12,30 @@ FABRICATE ?= --lamp
 FACES ?= polygon
 
 BIN := $(VENV)/bin
-RUN ?= $(basename $(notdir $(INPUT))).vorolight
-COMMON = --run $(RUN) --seed $(SEED) --threads $(THREADS)
+RUN ?= $(if $(RUNS),$(RUNS)/)$(basename $(notdir $(INPUT))).vorolight
+COMMON = --run $(RUN) --seed $(SEED) --threads $(THREADS) $(if $(CONFIG),--config $(CONFIG))
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DELETE_ON_ERROR:
 # The stages of one run share a folder and its lock; each of them uses all threads itself.
+ifndef SHAPES
 .NOTPARALLEL:
-.PHONY: lamp run test test-all bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
+endif
+.PHONY: lamp run shapes test test-all test-slurm concurrency bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
 	@echo "The lamp: $(RUN)/fabricate.stl   What was measured: $(RUN)/report.html"
 
 run: $(RUN)/report.html
+
+# Many shapes, some at a time: make -j2 shapes SHAPES="a.ply heart" THREADS=1
+ifneq ($(words $(SHAPES)),$(words $(sort $(basename $(notdir $(SHAPES))))))
+$(error two of SHAPES would share a run folder; rename one)
+endif
+shapes: $(SHAPES:%=shapes/%)
+shapes/%: always | $(VENV)/installed
+	@$(MAKE) --no-print-directory run INPUT=$* SHAPES=
 
 bunny.obj airplane.obj cow.obj bone.ply: | $(VENV)/installed
 	$(BIN)/vorolight sample $(basename $@)
@@ -64,7 +74,14 @@ PYTEST = OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 2 --dist loadscope
 test: $(VENV)/tested-with
 	$(PYTEST)
 test-all: $(VENV)/tested-with
-	$(PYTEST) -m ''
+	$(PYTEST) -m 'not slurm'
+# Needs root, and Debian's slurmctld, slurmd, slurm-client and slurm-wlm-basic-plugins.
+test-slurm: $(VENV)/tested-with
+	$(BIN)/python -m pytest -m slurm tests/test_slurm.py
+
+# Eight shapes by every way of running many at once: the same bytes, and how long each takes.
+concurrency: $(VENV)/tested-with
+	$(BIN)/python tests/benchmarks/concurrency.py
 
 bench: $(VENV)/benched-with
 	$(BIN)/python tests/benchmarks/interface.py

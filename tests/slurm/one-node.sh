@@ -27,6 +27,7 @@ start() {
         echo "$conf is of another Slurm" >&2
         exit 75
     fi
+    memory=$(awk '/^MemTotal/ {print $2}' /proc/meminfo) # kB
     mkdir -p "$folder/state" "$folder/spool" /etc/slurm
     cat > "$conf" << END
 $mark
@@ -52,7 +53,7 @@ SlurmctldPidFile=$folder/slurmctld.pid
 SlurmdPidFile=$folder/slurmd.pid
 SlurmctldLogFile=$folder/slurmctld.log
 SlurmdLogFile=$folder/slurmd.log
-NodeName=$(hostname -s) NodeAddr=127.0.0.1 CPUs=$(nproc) State=UNKNOWN
+NodeName=$(hostname -s) NodeAddr=127.0.0.1 CPUs=$(nproc) RealMemory=$((memory / 1024)) State=UNKNOWN
 PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 END
     slurmctld -c

@@ -1,0 +1,167 @@
+"""The ways to run a list of shapes; all have to end with the same bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+BIN = Path(sys.executable).parent
+STAGES = ("classify", "init", "sphere-train", "volume", "evaluate", "fabricate")
+OPTIONS = """\
+[classify]
+n-init = 6
+[init]
+iterations = 5
+[sphere-train]
+iterations = 20
+faces = "polygon"
+[volume]
+inner = 20
+cvt-iterations = 5
+[evaluate]
+samples = 2000
+[fabricate]
+lamp = false
+sides = 6
+"""
+# What the Makefile says on the command line, in words of its own.
+MAKE = ["N=6", "FACES=polygon", "INNER=20", "FABRICATE=--no-lamp", "THREADS=1"]
+
+
+class Failed(RuntimeError):
+    """A way that did not come to its end; what it said."""
+
+
+def prepare(folder: Path, count: int = 8) -> Path:
+    """A folder with ``count`` small shapes, their list, and options: two fields, the rest boxes and
+    ellipsoids."""
+    import trimesh
+
+    folder.mkdir(parents=True)
+    names = ["sphere", "heart"][:count]
+    for k in range(count - len(names)):
+        size = [1.0, 1.0 + 0.1 * k, 1.5]
+        mesh = trimesh.creation.box(size) if k % 2 else trimesh.creation.icosphere(2)
+        if k % 2 == 0:
+            mesh.apply_scale(size)
+        names.append(f"shape{k}.ply")
+        mesh.export(folder / names[-1])
+    (folder / "shapes.txt").write_text("# INPUTs\n" + "".join(f"{name}\n" for name in names))
+    (folder / "options.toml").write_text(OPTIONS)
+    return folder
+
+
+def shapes(folder: Path) -> list[str]:
+    return (folder / "shapes.txt").read_text().splitlines()[1:]
+
+
+def call(*words: object, cwd: Path, **variables: str) -> str:
+    """The output of a command that finds this environment's tools. Raises Failed."""
+    path = os.pathsep.join([str(BIN), os.environ.get("PATH", "")])
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=cwd,
+        env={**os.environ, "PATH": path, **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    if done.returncode:
+        raise Failed(f"{' '.join(map(str, words))[:200]}: {done.returncode}\n{done.stdout[-3000:]}")
+    return done.stdout
+
+
+def directly(folder: Path) -> None:
+    """One command after the other."""
+    for shape in shapes(folder):
+        run = f"{Path(shape).stem}.vorolight"
+        for stage in STAGES:
+            words = ["--", shape] if stage == "classify" else []
+            options = ["--run", run, "--threads", 1, "--config", "options.toml"]
+            call(sys.executable, "-m", "vorolight.cli", stage, *options, *words, cwd=folder)
+
+
+def by_make(folder: Path) -> None:
+    """Two at a time. Make says some options itself, and evaluates the first surface too."""
+    names = [str(folder / s) if (folder / s).exists() else s for s in shapes(folder)]
+    variables = [*MAKE, f"RUNS={folder}", f"CONFIG={folder / 'options.toml'}", f"VENV={BIN.parent}"]
+    call("make", "-j2", "shapes", f"SHAPES={' '.join(names)}", *variables, cwd=ROOT)
+
+
+def by_snakemake(folder: Path, *words: object, profile: str = "local") -> str:
+    """examples/cluster, on this machine's processors or with another profile."""
+    here = ROOT / "examples" / "cluster"
+    settings = "shapes: shapes.txt\noptions: options.toml\nruns: .\nthreads: 1\ntable: table.csv\n"
+    (folder / "config.yaml").write_text(settings)
+    command = [sys.executable, "-m", "snakemake", "-s", here / "Snakefile"]
+    return call(*command, "--profile", here / "profiles" / profile, *words, cwd=folder)
+
+
+def by_snakemake_on_slurm(folder: Path) -> None:
+    """The same on Slurm; without accounting, and asking often."""
+    words = ["--slurm-status-command", "squeue", "--slurm-init-seconds-before-status-checks", 5]
+    by_snakemake(folder, *words, "--default-resources", "mem_mb=1000", profile="slurm")
+
+
+def by_sbatch(folder: Path) -> None:
+    """vorolight sbatch --submit, until the queue is empty."""
+    words = ["sbatch", "shapes.txt", "--config", "options.toml", "--submit"]
+    call(sys.executable, "-m", "vorolight.cli", *words, cwd=folder)
+    wait_for_queue(900)
+
+
+def wait_for_queue(seconds: float) -> None:
+    """Until Slurm has no job left. Raises Failed when that takes longer."""
+    deadline = time.monotonic() + seconds
+    while left := call("squeue", "--noheader", cwd=ROOT):
+        if time.monotonic() > deadline:
+            raise Failed(f"still in the queue:\n{left}")
+        time.sleep(1)
+
+
+WAYS: dict[str, Callable[[Path], object]] = {
+    "one after the other": directly,
+    "make -j2 shapes": by_make,
+    "snakemake, 2 cores": by_snakemake,
+    "vorolight sbatch": by_sbatch,
+    "snakemake on Slurm": by_snakemake_on_slurm,
+}
+
+
+def results(run: Path) -> dict[str, object]:
+    """What must not depend on the way: all files of a run but logs, the report and the evaluation
+    of the first surface, which only Make asks for; manifests less what is volatile in them."""
+    found: dict[str, object] = {}
+    for path in sorted(run.rglob("*")):
+        name = path.relative_to(run).as_posix()
+        if not path.is_file() or name.startswith(("logs/", "report.html", "evaluate-init.")):
+            continue
+        found[name] = path.read_bytes()
+        if path.suffix == ".json":
+            record = json.loads(path.read_text())
+            found[name] = {key: value for key, value in record.items() if key != "volatile"}
+    return found
+
+
+def differences(folder: Path, other: Path) -> list[str]:
+    """Files of the runs in either folder that are not the same in both."""
+    names = {run.name for place in (folder, other) for run in place.glob("*.vorolight")}
+    faults = [] if names else [f"{folder}: no run"]
+    for run in sorted(names):
+        one, two = results(folder / run), results(other / run)
+        faults += [f"{run}/{n}" for n in sorted(one | two) if one.get(n) != two.get(n)]
+    return faults
+
+
+def copied(folder: Path, target: Path) -> Path:
+    """The shapes and options of ``folder`` without what was made of them."""
+    made = shutil.ignore_patterns("*.vorolight", ".snakemake", "slurm-logs", "table.csv")
+    shutil.copytree(folder, target, ignore=made)
+    return target
