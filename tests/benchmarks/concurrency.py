@@ -1,8 +1,8 @@
 """Eight small shapes by every way of running many at once: what is equal to the byte, wall times.
 
-Run with ``make concurrency``; the ways by Slurm are tried where one answers (`sinfo`). Two processes
-are then started at once on one run folder: one has to work, and the other to end with 75. Exits
-with 1 when anything differs.
+Run with ``make concurrency``; the ways by Slurm are tried where one answers (`sinfo`). Two
+processes are then started at once on one run folder: one has to work, and the other to end with 75.
+Exits with 1 when anything differs.
 """
 
 from __future__ import annotations
