@@ -72,7 +72,8 @@ def examine(folder: Path, names: Iterable[str] | None = None) -> Iterator[Findin
 def _by_child(folder: Path, left: list[str]) -> Iterator[Finding]:
     """Takes each check out of ``left`` that is over, the one that ended the child included."""
     child = subprocess.Popen(
-        [sys.executable, "-m", __name__, str(folder), *left],
+        # -P: modules of the folder that the user stands in are none of vorolight's.
+        [sys.executable, "-P", "-m", __name__, str(folder), *left],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -101,11 +101,9 @@ def _existing(folder: Path) -> Path:
 def _file_system(place: Path) -> str | None:
     import psutil
 
-    mounted = {Path(part.mountpoint): part.fstype for part in psutil.disk_partitions(all=True)}
-    for parent in (place, *place.parents):
-        if parent in mounted:
-            return mounted[parent]
-    return None
+    mounted = {part.mountpoint: str(part.fstype) for part in psutil.disk_partitions(all=True)}
+    found = (mounted.get(str(parent)) for parent in (place, *place.parents))
+    return next((kind for kind in found if kind), None)
 
 
 def files(folder: Path) -> Iterator[Finding]:
@@ -143,7 +141,8 @@ def programs(folder: Path) -> Iterator[Finding]:
     try:
         yield Finding("slicer", slicer.program())
     except BackendMissing as error:
-        yield Finding("slicer", "none found; only --slice needs it", "note", str(error))
+        advice = str(error).rpartition("; ")[2]
+        yield Finding("slicer", "none found; only --slice needs it", "note", advice)
     for name, purpose in (
         ("snakemake", "for workflows on many shapes"),
         ("sbatch", "for clusters with Slurm"),

@@ -11,11 +11,19 @@ import typer
 from vorolight.stages.errors import BackendMissing
 
 from .console import Console
-from .session import Run, Verbose
+from .session import Verbose
 
 
 def doctor(
-    run: Run = None,
+    run: Annotated[
+        Path | None,
+        typer.Option(
+            "--run",
+            envvar="VOROLIGHT_RUN",
+            help="Where runs are to be written. Default: the current folder.",
+            show_default=False,
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print a JSON object per check.")] = False,
     verbose: Verbose = False,
 ) -> None:
