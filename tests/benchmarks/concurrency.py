@@ -41,7 +41,7 @@ def compared(folder: Path, count: int) -> list[dict[str, object]]:
         began = time.perf_counter()
         way(place)
         seconds = round(time.perf_counter() - began, 1)
-        files = sum(len(ways.results(run)) for run in place.glob("*.vorolight"))
+        files = sum(len(ways.results(run)) for run in ways.runs(place))
         differing = ways.differences(reference, place) if rows else []
         rows.append({"way": name, "seconds": seconds, "files": files, "differing": differing})
         print(f"{name}: {seconds} s, {files} files, {len(differing)} differ", flush=True)
@@ -50,7 +50,7 @@ def compared(folder: Path, count: int) -> list[dict[str, object]]:
 
 def at_once(folder: Path) -> dict[str, object]:
     """Two processes at once on one run folder, of which the stages before stand."""
-    run = "sphere.vorolight"
+    run = "runs/sphere.vorolight"
     command = [sys.executable, "-m", "vorolight.cli"]
     common = ["--run", run, "--threads", "1", "--quiet"]
     train = [*command, "sphere-train", "--iterations", "60", *common]

@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -78,11 +78,11 @@ def call(*words: object, cwd: Path, **variables: str) -> str:
     return done.stdout
 
 
-def directly(folder: Path) -> None:
+def directly(folder: Path, stages: Sequence[str] = STAGES) -> None:
     """One command after the other."""
     for shape in shapes(folder):
-        run = f"{Path(shape).stem}.vorolight"
-        for stage in STAGES:
+        run = f"runs/{Path(shape).stem}.vorolight"
+        for stage in stages:
             words = ["--", shape] if stage == "classify" else []
             options = ["--run", run, "--threads", 1, "--config", "options.toml"]
             call(sys.executable, "-m", "vorolight.cli", stage, *options, *words, cwd=folder)
@@ -91,15 +91,14 @@ def directly(folder: Path) -> None:
 def by_make(folder: Path) -> None:
     """Two at a time. Make says some options itself, and evaluates the first surface too."""
     names = [str(folder / s) if (folder / s).exists() else s for s in shapes(folder)]
-    variables = [*MAKE, f"RUNS={folder}", f"CONFIG={folder / 'options.toml'}", f"VENV={BIN.parent}"]
-    call("make", "-j2", "shapes", f"SHAPES={' '.join(names)}", *variables, cwd=ROOT)
+    places = [f"RUNS={folder}/runs", f"CONFIG={folder}/options.toml", f"VENV={BIN.parent}"]
+    call("make", "-j2", "shapes", f"SHAPES={' '.join(names)}", *MAKE, *places, cwd=ROOT)
 
 
 def by_snakemake(folder: Path, *words: object, profile: str = "local") -> str:
     """examples/cluster, on this machine's processors or with another profile."""
     here = ROOT / "examples" / "cluster"
-    settings = "shapes: shapes.txt\noptions: options.toml\nruns: .\nthreads: 1\ntable: table.csv\n"
-    (folder / "config.yaml").write_text(settings)
+    shutil.copy(here / "config.yaml", folder)
     command = [sys.executable, "-m", "snakemake", "-s", here / "Snakefile"]
     return call(*command, "--profile", here / "profiles" / profile, *words, cwd=folder)
 
@@ -112,7 +111,7 @@ def by_snakemake_on_slurm(folder: Path) -> None:
 
 def by_sbatch(folder: Path) -> None:
     """vorolight sbatch --submit, until the queue is empty."""
-    words = ["sbatch", "shapes.txt", "--config", "options.toml", "--submit"]
+    words = ["sbatch", "shapes.txt", "--runs", "runs", "--config", "options.toml", "--submit"]
     call(sys.executable, "-m", "vorolight.cli", *words, cwd=folder)
     wait_for_queue(900)
 
@@ -135,6 +134,10 @@ WAYS: dict[str, Callable[[Path], object]] = {
 }
 
 
+def runs(folder: Path) -> list[Path]:
+    return sorted((folder / "runs").glob("*.vorolight"))
+
+
 def results(run: Path) -> dict[str, object]:
     """What must not depend on the way: all files of a run but logs, the report and the evaluation
     of the first surface, which only Make asks for; manifests less what is volatile in them."""
@@ -152,16 +155,16 @@ def results(run: Path) -> dict[str, object]:
 
 def differences(folder: Path, other: Path) -> list[str]:
     """Files of the runs in either folder that are not the same in both."""
-    names = {run.name for place in (folder, other) for run in place.glob("*.vorolight")}
+    names = {run.name for place in (folder, other) for run in runs(place)}
     faults = [] if names else [f"{folder}: no run"]
     for run in sorted(names):
-        one, two = results(folder / run), results(other / run)
+        one, two = results(folder / "runs" / run), results(other / "runs" / run)
         faults += [f"{run}/{n}" for n in sorted(one | two) if one.get(n) != two.get(n)]
     return faults
 
 
 def copied(folder: Path, target: Path) -> Path:
     """The shapes and options of ``folder`` without what was made of them."""
-    made = shutil.ignore_patterns("*.vorolight", ".snakemake", "slurm-logs", "table.csv")
+    made = shutil.ignore_patterns("runs", ".snakemake", "slurm-logs", "table.csv")
     shutil.copytree(folder, target, ignore=made)
     return target
