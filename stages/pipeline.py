@@ -85,7 +85,9 @@ def _tidy(run: RunFolder, stem: str, digest: str) -> None:
     """Remove what a process that was killed after its result was written had no time for."""
     checkpoints, staging = run.checkpoints(stem, digest), run.path / f".{stem}{atomic.STAGING}"
     dead = (run.path / lock.NAME).exists() and lock.holder(run.path) is None
-    if not (dead or staging.exists() or checkpoints.folder.parent.exists()):
+    place = checkpoints.folder.parent
+    empty = place.parent.exists() and not any(place.parent.iterdir())
+    if not (dead or staging.exists() or place.exists() or empty):
         return
     # Where another process is at work, or nothing can be written, what is left is in nobody's way.
     with contextlib.suppress(Locked, UsageError), lock.locked(run.path):

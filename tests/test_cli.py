@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -313,62 +310,6 @@ def test_damaged_artifacts_are_refused(tmp_path: Path, cli: Cli) -> None:
     done = cli("sphere-train", cwd=tmp_path)
     assert done.returncode == 4
     assert "breaks its schema" in done.stderr
-
-
-def test_a_running_stage_holds_the_lock(tmp_path: Path, cli: Cli) -> None:
-    run = tmp_path / "sphere.vorolight"
-    run.mkdir()
-    holder = {"host": os.uname().nodename, "pid": os.getpid()}
-    (run / ".lock").write_text(json.dumps(holder))
-    done = cli("classify", "sphere", "-n", 6, cwd=tmp_path)
-    assert done.returncode == 75
-    assert str(os.getpid()) in done.stderr
-
-
-# Checkpoints of triangles are numbered from 0, those of polygons from 100000.
-@pytest.mark.parametrize(
-    ("signals", "words", "written"),
-    [
-        (
-            [signal.SIGKILL, signal.SIGTERM, signal.SIGINT],
-            ["--iterations", 120],
-            "0*.h5",
-        ),
-        ([signal.SIGKILL], ["--iterations", 30, "--faces", "polygon"], "10000[3-9].h5"),
-    ],
-)
-def test_killed_in_the_middle_of_training(
-    signals: list[signal.Signals], words: list[object], written: str, tmp_path: Path, cli: Cli
-) -> None:
-    start = ["init", "sphere", "-n", 7, "--iterations", 5, "--threads", 2]
-    words = ["sphere-train", *words, "--threads", 2]
-    (tmp_path / "begun").mkdir()
-    assert cli(*start, cwd=tmp_path / "begun").returncode == 0
-    shutil.copytree(tmp_path / "begun", tmp_path / "undisturbed")
-    assert cli(*words, cwd=tmp_path / "undisturbed").returncode == 0
-    command = [sys.executable, "-m", "vorolight.cli", *map(str, words)]
-    run = tmp_path / "killed" / "sphere.vorolight"
-    checkpoints = run / "checkpoints" / "sphere-train"
-    undisturbed = without_volatile(snapshot(tmp_path / "undisturbed" / "sphere.vorolight"))
-    for number in signals:
-        # On a busy machine the training may have ended before the signal came: then again.
-        for _ in range(5):
-            shutil.rmtree(tmp_path / "killed", ignore_errors=True)
-            shutil.copytree(tmp_path / "begun", tmp_path / "killed")
-            running = subprocess.Popen(command, cwd=run.parent, stderr=subprocess.DEVNULL)
-            deadline = time.monotonic() + 120
-            while not list(checkpoints.glob(f"*/{written}")) and time.monotonic() < deadline:
-                time.sleep(0.01)
-            running.send_signal(number)
-            code = running.wait(timeout=60)
-            if code != 0:
-                break
-        assert code == (-9 if number == signal.SIGKILL else 128 + number)
-        assert not (run / "sphere-train.json").exists()
-        assert list(checkpoints.glob(f"*/{written}"))
-        done = cli(*words, cwd=run.parent)
-        assert done.returncode == 0, done.stderr
-        assert without_volatile(snapshot(run)) == undisturbed
 
 
 def test_sample_is_the_installed_file(tmp_path: Path, cli: Cli) -> None:

@@ -21,7 +21,7 @@ from vorolight.stages.errors import UsageError, VorolightError
 from . import completion, signals, summary
 from .collect import collect
 from .compare import compare, outdated
-from .console import Console
+from .console import Console, plain
 from .doctor import doctor
 from .epilog import EPILOG
 from .export import export
@@ -102,7 +102,7 @@ def guarded(function: Function) -> Function:
         except VorolightError as error:
             if kwargs.get("verbose"):
                 traceback.print_exc()
-            print(f"vorolight: {error}", file=sys.stderr)
+            print(f"vorolight: {plain(str(error))}", file=sys.stderr)
             raise typer.Exit(error.exit_code) from None
         except typer.Exit:
             raise
@@ -110,8 +110,8 @@ def guarded(function: Function) -> Function:
             if kwargs.get("verbose"):
                 traceback.print_exc()
             place = error.filename or "a file"
-            print(f"vorolight: {place}: {error.strerror or error}; mend that, and run again",
-                  file=sys.stderr)  # fmt: skip
+            said = plain(f"{place}: {error.strerror or error}; mend that, and run again")
+            print(f"vorolight: {said}", file=sys.stderr)
             raise typer.Exit(UsageError.exit_code) from None
         # Whatever else arrives here is a fault of ours; the user still gets one sentence.
         except Exception as error:

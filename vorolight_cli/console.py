@@ -53,15 +53,15 @@ class Console:
     def note(self, text: str) -> None:
         """A line on stderr, unless ``-q`` was given."""
         if self.verbosity > 0:
-            print(text, file=self.stream, flush=True)
+            print(plain(text), file=self.stream, flush=True)
 
     def detail(self, text: str) -> None:
         """A line on stderr with ``-v``."""
         if self.verbosity > 1:
-            print(text, file=self.stream, flush=True)
+            print(plain(text), file=self.stream, flush=True)
 
     def warn(self, text: str) -> None:
-        print(f"warning: {text}", file=self.stream, flush=True)
+        print(f"warning: {plain(text)}", file=self.stream, flush=True)
 
     def data(self, value: Any) -> None:
         """One JSON value on stdout, with ``--json`` only."""
@@ -72,8 +72,15 @@ class Console:
         return f"\033[1m{text}\033[0m" if self.color else text
 
 
+def plain(text: str) -> str:
+    """``text`` on one line, without what a terminal would obey: names of files and manifests may
+    hold anything."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def table(rows: Sequence[tuple[str, ...]]) -> str:
     """Columns padded to their widest entry."""
+    rows = [tuple(plain(cell) for cell in row) for row in rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

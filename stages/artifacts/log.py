@@ -54,7 +54,8 @@ class StageLog:
     def event(self, name: str, **facts: Any) -> None:
         """Log one event; with ``-v`` it is shown too."""
         self._write(name, facts)
-        self.shown.detail(" ".join([name, *(f"{key}={value}" for key, value in facts.items())]))
+        shown = (f"{key}={value}" for key, value in facts.items() if key != "traceback")
+        self.shown.detail(" ".join([name, *shown]))
 
     def _write(self, name: str, facts: dict[str, Any]) -> None:
         if self.file is None:
