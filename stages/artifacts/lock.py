@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -85,18 +86,25 @@ def _holder() -> dict[str, Any]:
 def holder(folder: Path) -> dict[str, Any] | None:
     """Who holds the lock of ``folder``, as it says, if it still runs or is on another host."""
     try:
-        found = json.loads((folder / NAME).read_bytes())
+        found = json.loads(_content(folder / NAME))
         here = str(found["host"]) == socket.gethostname()
         gone = here and not processes.runs(int(found["pid"]), found.get("start"))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (Locked, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     return None if gone else {"host": str(found["host"]), "pid": int(found["pid"])}
+
+
+def _content(path: Path) -> bytes:
+    """What a lock says. Raises Locked for what is no file: reading a pipe would never end."""
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise Locked(f"{path}: is no lock of ours; delete it")
+    return path.read_bytes()
 
 
 def _take_over(path: Path) -> list[str]:
     """Remove the lock at ``path`` if its holder no longer runs."""
     try:
-        text = path.read_bytes()
+        text = _content(path)
     except FileNotFoundError:
         return []
     try:
@@ -104,7 +112,7 @@ def _take_over(path: Path) -> list[str]:
         host, pid = str(holder["host"]), int(holder["pid"])
         job, start = holder.get("job"), holder.get("start")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        raise Locked(f"{path}: is no lock of ours; delete the file") from None
+        raise Locked(f"{path}: is no lock of ours; delete it") from None
     ours = _holder()
     # A job that was started again is the only one of its number: what held the lock is dead.
     again = job is not None and job == ours["job"] and (host, pid) != (ours["host"], ours["pid"])
@@ -118,7 +126,7 @@ def _take_over(path: Path) -> list[str]:
         os.replace(path, aside)
     except FileNotFoundError:
         return []  # somebody else was faster
-    taken = aside.read_bytes()
+    taken = _content(aside)
     if taken != text:
         # Between our look and our move a living process had taken it: give it back.
         os.replace(aside, path)
