@@ -200,8 +200,13 @@ def as_parquet(table: Table) -> bytes:
             values = [None if value is None else float(value) for value in values]
         else:
             form = arrow.string()
-            values = [None if value is None else str(value) for value in values]
+            values = [None if value is None else _text(value) for value in values]
         columns[name] = arrow.array(values, form)
     out = io.BytesIO()
     parquet.write_table(arrow.table(columns), out)
     return out.getvalue()
+
+
+def _text(value: Value) -> str:
+    """What of a file's name is no text becomes question marks; Parquet takes nothing else."""
+    return str(value).encode("utf-8", "replace").decode("utf-8")

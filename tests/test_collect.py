@@ -129,12 +129,14 @@ def test_columns_of_mixed_values_become_text_and_large_numbers_stay_exact() -> N
         "numbers": [1, 2.5, None],
         "seed": [2**63, 1, None],
         "nothing": [None, None, None],
+        "run": ["caf\udce9", "b", None],
     }
     found = parquet.read_table(io.BytesIO(collection.as_parquet(table)))
     assert found["mixed"].to_pylist() == ["True", "not run", None]
     assert found["numbers"].to_pylist() == [1.0, 2.5, None]
     assert found["seed"].to_pylist() == [str(2**63), "1", None]
     assert found["nothing"].null_count == 3
+    assert found["run"].to_pylist() == ["caf?", "b", None]
 
 
 def test_columns_are_selected_by_patterns(runs: Path, cli: Cli) -> None:
