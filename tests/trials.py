@@ -1,0 +1,224 @@
+"""Hundreds of command lines, cheaply: a server has everything imported, and forks one a trial.
+
+The trial calls the real ``vorolight.cli.app.main``. All of them take ``--threads 1``: a process
+that never started a pool of threads can be forked.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Self
+
+TESTS = Path(__file__).parent
+MEMORY = 6 * 2**30
+"""Bytes of address space that a trial may take beyond what the libraries have."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a trial ended."""
+
+    code: int
+    """The exit code, or minus the number of the signal that ended it."""
+    stdout: str
+    stderr: str
+    seconds: float
+    rss_mb: float
+    """Peak resident memory, that of the libraries included."""
+    hung: bool
+    operations: list[str]
+    """With a fault: what it did to the file system."""
+
+    @property
+    def said(self) -> list[str]:
+        """The sentences of errors, without warnings and progress."""
+        return [line for line in self.stderr.splitlines() if line.startswith("vorolight: ")]
+
+    @property
+    def clean(self) -> bool:
+        """Whether a failure was told in exactly one sentence."""
+        return (
+            len(self.said) == 1
+            and "internal error" not in self.stderr
+            and "Traceback" not in self.stderr
+        )
+
+
+class Server:
+    """The process that forks; to be used in a ``with`` statement."""
+
+    def __enter__(self) -> Self:
+        self._folder = TemporaryDirectory()
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE"}
+        self._process = subprocess.Popen(
+            [sys.executable, str(Path(__file__)), "serve"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
+        )  # fmt: skip
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(timeout=30)
+        self._folder.cleanup()
+
+    def trial(
+        self,
+        words: Sequence[object],
+        cwd: Path,
+        *,
+        fault: Mapping[str, Any] | None = None,
+        signals: Sequence[tuple[float, int]] = (),
+        timeout: float = 120.0,
+        **more: Any,
+    ) -> Outcome:
+        """Run ``vorolight *words`` in ``cwd``.
+
+        ``fault``: the fields of faults.Fault but root, which is ``cwd``, and log. ``signals``:
+        seconds after the start, and which. ``more``: env, umask, uid.
+        """
+        from faults import Fault, operations
+
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        log = Path(self._folder.name) / "log"
+        log.unlink(missing_ok=True)
+        if fault is not None:
+            more["fault"] = asdict(Fault(**{"root": str(cwd.resolve()), **fault, "log": str(log)}))
+        request = {
+            "words": [*map(str, words)], "cwd": str(cwd), "signals": sorted(signals),
+            "timeout": timeout, "out": self._folder.name, **more,
+        }  # fmt: skip
+        self._process.stdin.write(json.dumps(request) + "\n")
+        self._process.stdin.flush()
+        answer = json.loads(self._process.stdout.readline())
+        said = ((Path(self._folder.name) / name).read_text(errors="replace") for name in ("1", "2"))
+        done = operations(log) if log.exists() else []
+        return Outcome(stdout=next(said), stderr=next(said), operations=done, **answer)
+
+
+def serve() -> None:
+    """Answer requests, a line of JSON each, until the other end closes."""
+    _import_everything()
+    answers = os.dup(1)
+    os.dup2(2, 1)
+    tasks = len(os.listdir("/proc/self/task"))  # noqa: PTH208
+    assert tasks == 1, f"{tasks} threads: not to be forked"
+    for line in sys.stdin:
+        request = json.loads(line)
+        pid = os.fork()
+        if pid == 0:
+            os.close(answers)
+            _child(request)
+        os.write(answers, (json.dumps(_watch(pid, request)) + "\n").encode())
+
+
+def _import_everything() -> None:
+    import importlib
+    import pkgutil
+
+    from vorolight import stages
+    from vorolight.cli import app  # noqa: F401
+    from vorolight.stages.artifacts import checkpoints
+
+    # However quick a run is, it shall write all its checkpoints.
+    assert checkpoints.COST > 0
+    checkpoints.COST = 0.0
+    for module in pkgutil.walk_packages(stages.__path__, "vorolight.stages."):
+        if not module.name.endswith("_child"):
+            importlib.import_module(module.name)
+    for name in (
+        "torch", "scipy.spatial", "scipy.sparse.linalg", "scipy.ndimage", "trimesh", "h5py",
+        "manifold3d", "lib3mf", "igl", "jsonschema", "referencing", "PIL.Image", "psutil", "numba",
+    ):  # fmt: skip
+        importlib.import_module(name)
+
+
+def _watch(pid: int, request: dict[str, Any]) -> dict[str, Any]:
+    """Send the signals, wait, and say how it ended. Past its time the trial is killed."""
+    begun, handle = time.monotonic(), os.pidfd_open(pid)
+    poll = select.poll()
+    poll.register(handle, select.POLLIN)
+
+    def ended(after: float) -> bool:
+        return bool(poll.poll(max(0.0, begun + after - time.monotonic()) * 1000))
+
+    for after, number in request["signals"]:
+        if not ended(after):
+            os.kill(pid, number)
+    hung = not ended(request["timeout"])
+    if hung:
+        os.kill(pid, signal.SIGKILL)
+    _, status, usage = os.wait4(pid, 0)
+    os.close(handle)
+    return {
+        "code": os.waitstatus_to_exitcode(status),
+        "seconds": round(time.monotonic() - begun, 3),
+        "rss_mb": usage.ru_maxrss / 1024,
+        "hung": hung,
+    }
+
+
+def _child(request: dict[str, Any]) -> None:
+    """Be the trial; never returns."""
+    code = 99
+    try:
+        code = _call(request)
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _call(request: dict[str, Any]) -> int:
+    import resource
+
+    from vorolight.cli.app import main
+
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    for number in (1, 2):
+        path = f"{request['out']}/{number}"
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        os.dup2(handle, number)
+    os.umask(request.get("umask", 0o022))
+    os.environ.update(request.get("env", {}))
+    time.tzset()
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if "fault" in request:
+        from faults import Fault, Injector
+
+        injector = Injector(Fault(**request["fault"]))
+    if "uid" in request:
+        os.setgroups([])
+        os.setgid(request["uid"])
+        os.setuid(request["uid"])
+    os.chdir(request["cwd"])
+    sys.argv = ["vorolight", *request["words"]]
+    if "fault" in request:
+        injector.install()
+    try:
+        main()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return 0
+
+
+if __name__ == "__main__" and sys.argv[1:] == ["serve"]:
+    serve()
