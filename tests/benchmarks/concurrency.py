@@ -22,19 +22,12 @@ LOCKED = 75
 ON_SLURM = ("vorolight sbatch", "snakemake on Slurm")
 
 
-def slurm_answers() -> bool:
-    return (
-        shutil.which("sinfo") is not None
-        and subprocess.run(["sinfo"], capture_output=True, timeout=60).returncode == 0
-    )
-
-
 def compared(folder: Path, count: int) -> list[dict[str, object]]:
     """A row for each way: seconds, and the files that differ from those of the first."""
     reference = ways.prepare(folder / "reference", count)
     rows: list[dict[str, object]] = []
     for name, way in ways.WAYS.items():
-        if name in ON_SLURM and not slurm_answers():
+        if name in ON_SLURM and not ways.slurm_answers():
             print(f"{name}: not run, no Slurm answers", flush=True)
             continue
         place = reference if not rows else ways.copied(reference, folder / name.replace(" ", "-"))

@@ -116,10 +116,18 @@ def by_sbatch(folder: Path) -> None:
     wait_for_queue(900)
 
 
+def slurm_answers() -> bool:
+    """Whether there is a Slurm here, and it runs."""
+    return (
+        shutil.which("sinfo") is not None
+        and subprocess.run(["sinfo"], capture_output=True, timeout=60).returncode == 0
+    )
+
+
 def wait_for_queue(seconds: float) -> None:
-    """Until Slurm has no job left. Raises Failed when that takes longer."""
+    """Until Slurm has no job of ours left. Raises Failed when that takes longer."""
     deadline = time.monotonic() + seconds
-    while left := call("squeue", "--noheader", cwd=ROOT):
+    while left := call("squeue", "--me", "--noheader", cwd=ROOT):
         if time.monotonic() > deadline:
             raise Failed(f"still in the queue:\n{left}")
         time.sleep(1)
