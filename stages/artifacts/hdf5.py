@@ -18,6 +18,8 @@ Arrays = dict[str, np.ndarray[Any, Any]]
 
 LARGEST = 4_000_000_000
 """Bytes that the arrays of a file may hold, unpacked."""
+MOST, DEEPEST = 1000, 3
+"""Groups and arrays of a file, and groups in groups."""
 FILTERS = (1, 2)
 """HDF5's own deflate and shuffle; others would be loaded from wherever the system finds them."""
 
@@ -79,17 +81,33 @@ def decode(raw: bytes, path: Path, stage: str | None) -> tuple[Arrays, dict[str,
     return arrays, attributes
 
 
+def _datasets(file: Any, layout: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The arrays of a file by name; what another name or file only links to is none."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    groups, seen = [("", file)], 0
+    while groups:
+        prefix, group = groups.pop()
+        for key in group:
+            seen += 1
+            if seen > MOST or prefix.count("/") > DEEPEST:
+                raise ValueError("it holds more groups or arrays than ours do")
+            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                continue
+            item = group[key]
+            if isinstance(item, h5py.Group):
+                groups.append((f"{prefix}{key}/", item))
+            elif isinstance(item, h5py.Dataset) and (layout is None or prefix + key in layout):
+                found[prefix + key] = item
+    return found
+
+
 def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dict[str, Any]]:
     import h5py
 
     with h5py.File(io.BytesIO(raw), "r") as file:
-        found: dict[str, Any] = {}
-
-        def visit(name: str, item: object) -> None:  # links are not followed
-            if isinstance(item, h5py.Dataset) and (layout is None or name in layout):
-                found[name] = item
-
-        file.visititems(visit)
+        found = _datasets(file, layout)
         limit, total = min(LARGEST, int(1e6 * memory.free_mb())), 0
         for name, item in found.items():
             if item.dtype.kind not in "biuf" or item.dtype.itemsize > 8:
