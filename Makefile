@@ -21,7 +21,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 ifndef SHAPES
 .NOTPARALLEL:
 endif
-.PHONY: lamp run shapes test test-all test-slurm concurrency bench bench-init bench-solvers bench-stages bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
+.PHONY: lamp run shapes test test-all test-slurm concurrency bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -95,6 +95,10 @@ RESOLUTIONS ?= 25 50
 BACKEND ?= scipy
 bench-stages: $(INPUT) $(VENV)/installed
 	$(BIN)/python tests/benchmarks/stages.py $(INPUT) -n $(RESOLUTIONS) --faces $(TABLE_FACES) --backend $(BACKEND)
+
+# What checkpoints, manifests, checksums, logs and locks cost, as a share of each stage.
+bench-overhead: $(INPUT) $(VENV)/installed
+	$(BIN)/python tests/benchmarks/overhead.py $(INPUT) -n $(N)
 
 # Certificate, distances and smoothness of shapes, beside another method's.
 MESHES ?= $(wildcard *.ply)

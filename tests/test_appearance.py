@@ -199,9 +199,7 @@ def test_the_paper_trains_on_pictures(run: Path, cli: Cli, tmp_path: Path) -> No
     done = cli("sphere-train", "--preset", "paper", "--faces", "polygon", "--iterations", 20,
                "--run", "seen.vorolight", cwd=folder)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    history = hdf5.read(folder / "seen.vorolight" / "sphere-train.h5", "sphere-train")[0][
-        "history"
-    ]
+    history = hdf5.read(folder / "seen.vorolight" / "sphere-train.h5", "sphere-train")[0]["history"]
     assert history[-1, 2] < history[0, 2]
 
 

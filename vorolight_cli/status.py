@@ -45,7 +45,7 @@ def status(
             why = f"{why}; " * bool(why) + f"checkpoint at {facts['checkpoint']}"
         rows.append((facts["stage"], facts["state"], why, "" if took is None else f"{took:.1f}"))
         if found.manifest and _of_a_file(found, folder):
-            damaged.append(found.reason)
+            damaged.append(str(found.reason))
     console.say(f"{folder.path}\n{table(rows)}")
     if verify and damaged:
         raise ArtifactError(

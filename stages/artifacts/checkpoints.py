@@ -61,7 +61,7 @@ class Checkpoints:
             except ArtifactError as error:
                 self.tell("checkpoint ignored", reason=str(error))
                 continue
-            iteration = attributes.get("iteration")
+            iteration: Any = attributes.get("iteration")
             if attributes.get("fingerprint") != self.fingerprint:
                 continue
             if attributes.get("sha256") != _digest(iteration, arrays):

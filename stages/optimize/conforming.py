@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,10 +74,10 @@ def conform(
     history, free = np.zeros((0, len(TERMS))), np.ones(len(start.vertices), dtype=bool)
     found = checkpoints.latest()
     if found is not None:
-        state = found[1]
-        spheres = Spheres(*(state[item.name] for item in fields(Spheres)))
-        number, begin, damping = (state[name].item() for name in ("round", "begin", "damping"))
-        history, free = state["history"], state["free"].astype(bool)
+        kept = found[1]
+        spheres = Spheres(*(kept[item.name] for item in fields(Spheres)))
+        number, begin, damping = (kept[name].item() for name in ("round", "begin", "damping"))
+        history, free = kept["history"], kept["free"].astype(bool)
     strict = {key: STRICT * leg.weights[key] for key in ("intersection", "exclusion")}
     while True:
         if number and begin == 0:
@@ -92,7 +92,9 @@ def conform(
         for first in range(begin, count, LEG):
             if first > begin:
                 before = leg.iterations + ROUND * (number - 1) if number else 0
-                state = {item.name: getattr(spheres, item.name) for item in fields(Spheres)}
+                state: dict[str, Any] = {
+                    item.name: getattr(spheres, item.name) for item in fields(Spheres)
+                }
                 state |= {"round": number, "begin": first, "damping": damping}
                 state |= {"free": free, "history": history}
                 checkpoints.save(before + first, state.copy)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -133,11 +134,13 @@ def adam(
         moments.step(gradients, iteration, schedule.rate_at(iteration))
         progress.advance(iteration + 1, f"loss {float(total.detach()):.4g}")
         if (iteration + 1) % schedule.checkpoint_every == 0 and iteration + 1 < schedule.iterations:
-            so_far = history[: iteration + 1]
-            checkpoints.save(
-                iteration + 1, lambda so_far=so_far: {"history": so_far, **moments.as_arrays()}
-            )
+            so_far = {"history": history[: iteration + 1]}
+            checkpoints.save(iteration + 1, partial(_state, so_far, moments))
     return history
+
+
+def _state(more: Mapping[str, np.ndarray], moments: Moments) -> dict[str, np.ndarray]:
+    return {**more, **moments.as_arrays()}
 
 
 def _at_rest(totals: np.ndarray, patience: int | None) -> bool:

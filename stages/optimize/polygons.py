@@ -93,9 +93,9 @@ def train_polygons(
         history = arrays["history"]
     progress.start("polygons", iterations)
     for begin in range(first, iterations, LEG):
-        arrays = {item.name: getattr(state, item.name) for item in fields(Paired)}
-        arrays |= {"first": begin, "damping": damping, "history": history, **stored}
-        checkpoints.save(BEFORE + begin, arrays.copy)
+        now: dict[str, Any] = {item.name: getattr(state, item.name) for item in fields(Paired)}
+        now |= {"first": begin, "damping": damping, "history": history, **stored}
+        checkpoints.save(BEFORE + begin, now.copy)
         last = min(iterations, begin + LEG)
         factors = [EASY if i < START * iterations else 1.0 for i in range(begin, last)]
         problem = PairedProblem(mesh, state, surface, weights, threads)

@@ -45,14 +45,15 @@ def timed(owner: Any, name: str, what: str) -> None:
 
 
 def instrument() -> None:
-    from vorolight.stages import pipeline, standing
+    from vorolight.stages import standing
     from vorolight.stages.artifacts import atomic, checkpoints, fingerprint, lock, log, manifest
     from vorolight.stages.artifacts.run_folder import RunFolder
 
     for name in ("save", "latest", "clear"):
         timed(checkpoints.Checkpoints, name, "checkpoints")
     timed(log.StageLog, "_write", "log")
-        timed(owner, name, "manifests")
+    for name in ("encode", "read"):
+        timed(manifest, name, "manifests")
     timed(RunFolder, "manifest", "manifests")
     for name in ("of_file", "of_bytes", "of_json"):
         timed(fingerprint, name, "checksums")
