@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from conftest import sphere_mesh, write_ply
 
@@ -125,11 +124,10 @@ def test_a_killed_job_that_is_queued_again_goes_on(
     place = ways.copied(trained, tmp_path / "killed")
     job = in_training(place)
     lock = place / "runs" / "sphere.vorolight" / ".lock"
-    process = json.loads(lock.read_text())["pid"]
-    if whole:  # as when a node dies: nobody is left to say how it ended
-        ways.call("scancel", "--signal=KILL", "--full", job, cwd=place)
-    else:
-        subprocess.run(["kill", f"-{signal.SIGKILL.value}", str(process)], check=True)
+    stage = psutil.Process(json.loads(lock.read_text())["pid"])
+    # With its script too, as when a node dies, nobody is left to say how the stage ended.
+    for process in [stage.parent(), stage] if whole else [stage]:
+        process.kill()
     awaited("the job has ended", lambda: shown(job, "JobState") in ("FAILED", "CANCELLED"))
     assert lock.exists()
     ways.call("scontrol", "requeue", job, cwd=place)
