@@ -21,7 +21,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 ifndef SHAPES
 .NOTPARALLEL:
 endif
-.PHONY: lamp run shapes test test-all test-slurm concurrency bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
+.PHONY: lamp run shapes test test-all test-slurm concurrency kills write-points corruptions bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -160,6 +160,17 @@ table-inputs:
 	$(MAKE) --no-print-directory table-clouds POINTS=10000
 	$(MAKE) --no-print-directory table-found MESHES="$(FOUND)"
 	$(MAKE) --no-print-directory table-scales
+
+# Small runs that are killed at random times, meet a fault at every write, or whose files are damaged.
+KILLS ?= 200
+kills: $(VENV)/tested-with
+	$(BIN)/python tests/benchmarks/kills.py --kills $(KILLS) --seed $(SEED)
+write-points: $(VENV)/tested-with
+	$(BIN)/python tests/benchmarks/write_points.py --seed $(SEED)
+corruptions: COUNT = 1000
+corruptions: $(VENV)/tested-with
+	$(BIN)/python tests/benchmarks/corruptions.py --count $(COUNT) --seed $(SEED)
+	$(BIN)/python tests/benchmarks/attacks.py --seed $(SEED)
 
 # Loss against iterations, by several optimisers of the first surface.
 bench-init: $(INPUT) $(VENV)/installed

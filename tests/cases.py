@@ -83,7 +83,7 @@ class Runs:
         self._made[commands] = place
         if not commands:
             place.mkdir(parents=True)
-            _write_inputs(place)
+            write_inputs(place)
             return place
         shutil.copytree(self.after(*commands[:-1]), place, symlinks=True)
         done = run(self.server, commands[-1], place)
@@ -142,7 +142,8 @@ def differences(now: dict[str, Any], expected: dict[str, Any]) -> str:
     return "; ".join(words)
 
 
-def _write_inputs(place: Path) -> None:
+def write_inputs(place: Path) -> None:
+    """A mesh and a point cloud of a ball."""
     from conftest import fibonacci, sphere_mesh
 
     vertices, triangles = sphere_mesh(2.0, 2)

@@ -85,7 +85,8 @@ class Server:
         """Run ``vorolight *words`` in ``cwd``.
 
         ``fault``: the fields of faults.Fault but root, which is ``cwd``, and log. ``signals``:
-        seconds after the start, and which. ``more``: env, umask, uid.
+        seconds after the start, and which. ``more``: env, umask, and powerless for a root that may
+        not do more than other users.
         """
         from faults import Fault, operations
 
@@ -205,10 +206,8 @@ def _call(request: dict[str, Any]) -> int:
         from faults import Fault, Injector
 
         injector = Injector(Fault(**request["fault"]))
-    if "uid" in request:
-        os.setgroups([])
-        os.setgid(request["uid"])
-        os.setuid(request["uid"])
+    if request.get("powerless"):
+        _drop_capabilities()
     os.chdir(request["cwd"])
     sys.argv = ["vorolight", *request["words"]]
     if "fault" in request:
@@ -218,6 +217,16 @@ def _call(request: dict[str, Any]) -> int:
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     return 0
+
+
+def _drop_capabilities() -> None:
+    """Be root by name only, for whom the files of others are those of others."""
+    import ctypes
+
+    version_3 = (ctypes.c_uint32 * 2)(0x20080522, 0)
+    none = (ctypes.c_uint32 * 6)()
+    if ctypes.CDLL(None, use_errno=True).capset(version_3, none) != 0:
+        raise OSError(ctypes.get_errno(), "capset")
 
 
 if __name__ == "__main__" and sys.argv[1:] == ["serve"]:

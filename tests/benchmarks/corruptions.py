@@ -62,6 +62,8 @@ READERS: dict[str, list[Command]] = {
     "fabricate": [("report",)],
 }
 """What reads the files of a stage."""
+FINE = {"refused", "same result", "said stale", "up to date", "accepted", "nothing to damage"}
+"""How a command may end."""
 CHECKPOINTS, LOCK = "checkpoint", "lock"
 
 
@@ -71,7 +73,6 @@ class Bench:
 
     runs: Runs
     results: dict[Command, dict[str, Any]] = field(default_factory=dict)
-    seconds: dict[Command, float] = field(default_factory=dict)
     interrupted: Path | None = None
 
     def commands(self, stem: str) -> list[Command]:
@@ -92,8 +93,13 @@ class Bench:
             done = run(self.runs.server, words, place)
             assert done.code == 0, f"{words}: {done.stderr}"
             self.results[words] = result(place)
-            self.seconds[words] = done.seconds
+            self.runs.seconds[*FINISHED, words] = done.seconds
         return self.results[words]
+
+    def limit(self, words: Command) -> float:
+        """Seconds that a command may take, its stage being run anew."""
+        known = self.runs.seconds.items()
+        return SECONDS + 3 * max(took for past, took in known if past[-1][0] == words[0])
 
     def begun(self) -> Path:
         """A folder whose training was killed when it had written checkpoints."""
@@ -154,7 +160,7 @@ def judged(
     after = raw(place)
     changed = [name for name in before.keys() | after.keys() if before.get(name) != after.get(name)]
     if done.code != 0:
-        # A manifest or lock that is no file counts as none, and what is in the way cannot be written.
+        # What is no file counts as none, and where it is in the way nothing can be written.
         obstacle = done.code == 2 and not path.is_file()
         if done.code not in (3, 4, 75) and not obstacle and not (lenient and done.code in (2, 6)):
             return f"exit {done.code}: {done.stderr[-400:].strip()}"
@@ -200,7 +206,6 @@ def trial(bench: Bench, dice: random.Random) -> tuple[str, str, str]:
         shutil.copytree(bench.begun(), place)
         paths = sorted(run_folder(place).glob("checkpoints/*/*/*.h5"))
         words, whole = POLYGONS, lambda: result(bench.runs.after(CLASSIFY, INIT, POLYGONS))
-        limit = SECONDS + 3 * bench.runs.seconds.get((CLASSIFY, INIT, POLYGONS), 10)
     else:
         place = bench.runs.copy("trial", *FINISHED)
         if kind == LOCK:
@@ -216,9 +221,8 @@ def trial(bench: Bench, dice: random.Random) -> tuple[str, str, str]:
     if not words:
         commands = bench.commands(path.name.split(".")[0])
         words = dice.choices(commands, [1 - 0.8 * (one[0] in PAGES) for one in commands])[0]
-    if kind != CHECKPOINTS:
-        whole()
-        limit = SECONDS + 3 * bench.seconds[words]
+    whole()
+    limit = bench.limit(words)
     name = dice.choice(damages.of_file(path))
     restore = dice.random() < 0.5
     other, outside = run_folder(bench.runs.after(*OTHER)), place.parent / "outside"
@@ -271,8 +275,7 @@ def main() -> int:
                 for end in columns
             ]
             print(f"{row:28} " + " ".join(f"{count:13}" for count in counts))
-    fine = {"refused", "same result", "said stale", "up to date", "accepted", "nothing to damage"}
-    return int(any(end not in fine for _, _, end in ends))
+    return int(any(end not in FINE for _, _, end in ends))
 
 
 if __name__ == "__main__":

@@ -75,7 +75,8 @@ def judge(runs: Runs, trial: Trial) -> tuple[str, str]:
     wrong = _wrong_end(first, fault)
     outcome = {0: "ignored"}.get(first.code, "stopped")
     if not wrong and first.code == 0:
-        wrong = differences(between, expected)
+        # What could not be tidied up is there until the next start.
+        wrong = "" if _stands(expected, between) else differences(between, expected)
     elif not wrong and "error" in fault and not _stands(before, between):
         outcome = "older result lost"
         if not trial.site.startswith(EXCHANGE) and not fault.get("lasting"):
