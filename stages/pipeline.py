@@ -199,8 +199,12 @@ def _outcome(
     wall, cpu = time.perf_counter(), time.process_time()
     from .voronoi.delaunay import backend
 
+    import scipy.linalg  # noqa: F401  (with numpy's, all linear algebra there is to be limited)
+    from threadpoolctl import threadpool_limits
+
     try:
-        with backend(session.backend) as used:
+        # Results may depend on the threads, so these are what was asked for, everywhere.
+        with threadpool_limits(session.threads, "blas"), backend(session.backend) as used:
             outcome = stage.run(context)
     finally:
         told.finish()
