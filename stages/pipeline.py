@@ -197,10 +197,10 @@ def _outcome(
     told.note(f"{stage.name}: about {needed / 1000:.1f} GB of memory")
     memory.require(stage.name, needed, session.max_memory_mb)
     wall, cpu = time.perf_counter(), time.process_time()
-    from .voronoi.delaunay import backend
-
     import scipy.linalg  # noqa: F401  (with numpy's, all linear algebra there is to be limited)
     from threadpoolctl import threadpool_limits
+
+    from .voronoi.delaunay import backend
 
     try:
         # Results may depend on the threads, so these are what was asked for, everywhere.
