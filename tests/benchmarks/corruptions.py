@@ -263,6 +263,8 @@ def main() -> int:
         for number in range(said.count):
             kind, name, end = trial(bench, random.Random(f"{said.seed}/{number}"))
             ends[kind, name, end] += 1
+            if (number + 1) % 100 == 0:
+                print(f"{number + 1} of {said.count}", file=sys.stderr, flush=True)
     columns = sorted({end for _, _, end in ends})
     for rows in (
         sorted({kind for kind, _, _ in ends}),
