@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats, PolygonMesh
 
+CREASE_ANGLE = 40.0
+"""Degrees from which on edges of an input are creases, unless said otherwise."""
 SMALLEST_OFFSET = 0.05
 """In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
 
@@ -86,6 +88,9 @@ class Params(contract.Params):
     fields, Chamfer for meshes, images for views (the default of the preset)."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
+    sharp: str = "auto"
+    """Edges along the creases of meshes and fields: auto, from 40 degrees on (triangles; polygons
+    have none), off, or the least angle in degrees."""
     merge: Positive = 0.1
     """Vertices of the polygons' diagram this near to a trained one, in units of h0, become it in
     the written surface, so that slivers between polygons vanish; 0 writes them."""
@@ -97,6 +102,9 @@ class Params(contract.Params):
                 f"--shape-loss {self.shape_loss}: triangles are trained on the distance; add "
                 "--faces polygon or --preset paper"
             )
+        if self.kind != "triangle" and self.sharp not in ("auto", "off"):
+            raise UsageError(f"--sharp {self.sharp}: only triangles have creases")
+        _ = self.angle
         for name in ("edge_length", "learning_rate", "weight_normal"):
             if getattr(self, name) is not None and name not in DEFAULTS[self.kind]:
                 other = "--preset paper" if name == "learning_rate" else "--faces triangle"
@@ -108,6 +116,19 @@ class Params(contract.Params):
     def by_adam(self) -> bool:
         """Whether the initial surface is trained as in the paper."""
         return self.preset == "paper" or self.shape_loss not in (None, "distance")
+
+    @property
+    def angle(self) -> float | None:
+        """Degrees from which on an edge of the input is a crease. Raises UsageError."""
+        if self.sharp in ("auto", "off"):
+            return CREASE_ANGLE if self.sharp == "auto" else None
+        try:
+            angle = float(self.sharp)
+        except ValueError:
+            angle = 0.0
+        if not 5 <= angle <= 175:
+            raise UsageError(f"--sharp {self.sharp}: must be auto, off, or from 5 to 175 degrees")
+        return angle
 
     @property
     def kind(self) -> str:
@@ -131,16 +152,9 @@ def run(context: Context) -> Outcome:
     return _triangles(context) if context.params.faces == "triangle" else _polygons(context)
 
 
-def _how(context: Context, rounds: int, from_input: bool) -> tuple[dict[str, Any], list[str]]:
-    """Metrics and warnings of a training that started from triangles."""
-    warnings = []
-    if from_input:
-        warnings.append(
-            "the initial surface has not the input's topology: the input's triangles were remeshed"
-        )
-    if context.device != "cpu":
-        warnings.append(f"--device {context.device}: this training runs on the CPU")
-    return {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}, warnings
+def _on_cpu(context: Context) -> list[str]:
+    device = context.device
+    return [] if device == "cpu" else [f"--device {device}: this training runs on the CPU"]
 
 
 def _triangles(context: Context) -> Outcome:
@@ -159,6 +173,7 @@ def _triangles(context: Context) -> Outcome:
         params.value("edge_length"),
         params.weights(*names),
         int(params.value("iterations")),
+        params.angle,
     )
     spheres = done.spheres
     trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
@@ -174,7 +189,8 @@ def _triangles(context: Context) -> Outcome:
         points[:count],
         spheres.face_lengths / params.value("edge_length"),
         done.history,
-        *_how(context, done.rounds, done.from_input),
+        done.facts(),
+        done.warnings() + _on_cpu(context),
     )
 
 
@@ -183,7 +199,7 @@ def _polygons(context: Context) -> Outcome:
     import numpy as np
 
     from .optimize.polygons import train_polygons
-    from .optimize.triangles import train_triangles
+    from .optimize.triangles import started, train_triangles
     from .surface.dual import dual
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
@@ -203,6 +219,7 @@ def _polygons(context: Context) -> Outcome:
         done = train_triangles(context, edge_length, weights, int(plain["iterations"]))
         mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
         how = done.rounds, done.from_input
+    facts, said = started(*how)
     state, history = train_polygons(
         mesh,
         context.surface,
@@ -222,7 +239,8 @@ def _polygons(context: Context) -> Outcome:
         state.outer,
         state.inner,
         history,
-        *_how(context, *how),
+        facts,
+        said + _on_cpu(context),
     )
 
 
@@ -316,23 +334,7 @@ def _outcome(
     params, count = context.params, trained.face_count
     merge = 0.0 if params.faces == "triangle" else params.merge
     found = written(trained, radii, inside, outside, merge, context.threads)
-    certificate, agreement = found.certificate, found.conformity
-    if not certificate.holds:
-        if agreement.pair_faces < count:
-            warnings.append(
-                f"{count - agreement.pair_faces} of {count} trained faces have no face in the "
-                "diagram"
-            )
-        merged = ""
-        if merge and found.merged_within:
-            merged = f", slivers merged within {found.merged_within:.3f} h0"
-        elif merge:
-            merged = ", its slivers not merged because that would change its topology"
-        warnings.append(
-            f"no certificate ({', '.join(certificate.failed)} fails): the interface of the "
-            f"generators is written{merged}, {100 * agreement.pair_area_share:.2f} % of its area "
-            "between pairs"
-        )
+    warnings = warnings + found.warnings(count, merge)
     facts, expected = topology(found.mesh), context.source().topology()
     if expected is not None and expected != (facts.euler_number, facts.components):
         warnings.append(
@@ -358,19 +360,9 @@ def _outcome(
         files={"ply": ply.encode(surface)},
         metrics={
             "trained_faces": count,
-            "certificate": vars(certificate) | {"failed": list(certificate.failed)},
             "topology": vars(facts),
             "trained_topology": vars(topology(trained)),
-            "conformity": vars(agreement),
-            "faces_after_merging": found.faces_after_merging,
-            "written_faces": found.mesh.face_count,
-            "merged_within": found.merged_within,
-            "cleanup": {
-                "dropped_flat": found.cleaned.dropped_flat,
-                "merged_vertices": found.cleaned.merged_vertices,
-                "dropped_faces": found.cleaned.dropped_faces,
-                "kept_degenerate": found.cleaned.kept_degenerate,
-            },
+            **found.facts(),
             "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
             **metrics,
         },
@@ -389,7 +381,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=6,
+    version=7,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

@@ -18,6 +18,7 @@ from vorolight.stages.optimize.polygons import Paired, PairedProblem
 from vorolight.stages.optimize.sphere_problem import SphereProblem
 from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.surface import geometry
+from vorolight.stages.surface.creases import Chain, Creases
 from vorolight.stages.surface.dual import dual
 from vorolight.stages.surface.edge_table import Sized
 from vorolight.stages.surface.polygons import PolygonMesh
@@ -75,11 +76,13 @@ def test_derivatives_of_spheres_against_finite_differences(tmp_path: Path) -> No
     mesh = Sized(vertices + 0.03 * random.normal(size=vertices.shape), triangles, np.ones(42))
     spheres = Spheres.at(mesh)
     spheres = replace(
-        spheres, radii=spheres.radii * (0.7 + 0.5 * random.random(42)), hold=random.random(42)
-    )
+        spheres, radii=spheres.radii * (0.7 + 0.5 * random.random(42)), hold=random.random(42),
+        rank=np.where(np.arange(42) < 2, 2, np.where(np.arange(42) < 9, 1, 0)),
+    )  # fmt: skip
+    creases = Creases([Chain(np.array([[-1.2, 0, 0.9], [0.1, 0.3, 1.0], [1.1, 0.2, 0.7]]), False)])
     weights = {"intersection": 3.0, "exclusion": 2.0, "shape": 5.0, "normal": 0.3, "smooth": 0.7,
                "radius": 0.4}  # fmt: skip
-    problem = SphereProblem(spheres, surface, weights, np.ones(42, bool), 1)
+    problem = SphereProblem(spheres, surface, creases, weights, np.ones(42, bool), 1)
     problem.prepare(spheres, 1.0)
     residuals = problem.residuals(spheres)
     assert all((residuals[key] != 0).any() for key in weights)

@@ -90,7 +90,7 @@ def test_closest_points_of_a_field(name: str) -> None:
 @pytest.mark.parametrize("mesh", [sphere_mesh(3.0, 4), torus_mesh(4.0, 1.5, 90, 20)])
 def test_remeshing_keeps_the_topology_and_evens_the_edges(mesh: tuple, tmp_path: Path) -> None:
     surface = surface_of(tmp_path / "shape.ply", mesh)
-    found = remesh(*mesh, lambda at: np.full(len(at), 0.6), surface)
+    found, _ = remesh(*mesh, lambda at: np.full(len(at), 0.6), surface)
     before = topology(PolygonMesh.of_triangles(*mesh))
     after = topology(PolygonMesh.of_triangles(found.vertices, found.triangles))
     assert (after.closed, after.pinched_vertices) == (True, 0)
@@ -119,7 +119,7 @@ def test_a_chamfered_cube_gets_its_edges_back(tmp_path: Path) -> None:
     surface = surface_of(tmp_path / "cube.ply", cube)
     vertices, triangles = sphere_mesh(1.0, 4)
     rounded = 2 * vertices / (np.abs(vertices) ** 6).sum(axis=1)[:, None] ** (1 / 6)
-    found = remesh(rounded, triangles, lambda at: np.full(len(at), 0.6), surface)
+    found, _ = remesh(rounded, triangles, lambda at: np.full(len(at), 0.6), surface)
     edge = np.linspace(-2, 2, 200)
     edges = np.stack([edge, np.full(200, 2.0), np.full(200, 2.0)], axis=1)
     edges = np.concatenate([edges, edges[:, [1, 0, 2]], edges[:, [1, 2, 0]]])

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..artifacts.checkpoints import Checkpoints
     from ..contract import Progress
     from ..sources.true_surface import TrueSurface
+    from ..surface.creases import Creases
 
 LEG = 5
 """Steps between flips of edges, searches for closest points, and checkpoints."""
@@ -58,6 +59,7 @@ class Leg:
 def conform(
     start: Sized,
     surface: TrueSurface,
+    creases: Creases | None,
     leg: Leg,
     checkpoints: Checkpoints,
     progress: Progress,
@@ -106,7 +108,7 @@ def conform(
             last = min(count, first + LEG)
             # What conformity needs gets its full weight by and by.
             ramp = [1.0 if number else min(1.0, 2 * (i + 1) / count) for i in range(first, last)]
-            problem = SphereProblem(spheres, surface, weights, free, threads)
+            problem = SphereProblem(spheres, surface, creases, weights, free, threads)
             spheres, losses, damping = descend(problem, spheres, ramp, damping)
             if not number:
                 history = np.concatenate([history, losses])

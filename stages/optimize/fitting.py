@@ -166,6 +166,6 @@ def fit(mesh: Sized, surface: TrueSurface) -> None:
         columns = 3 * rows.corners[:, :, None] + np.arange(3)
         values = root[:, None, None] * rows.gradient()
         blocks.append(Block.dense(columns, values, root * rows.distance(mesh.vertices)))
-    free = np.ones(3 * len(mesh.vertices), dtype=bool)
+    free = np.repeat(mesh.rank == 0, 3)
     move = GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3)
     mesh.vertices = mesh.vertices + limited(move, LONGEST_STEP * mesh.length)

@@ -22,6 +22,7 @@ from .spheres import SAFE, SMALLEST, Spheres
 
 if TYPE_CHECKING:
     from ..sources.true_surface import TrueSurface
+    from ..surface.creases import Creases
 
 SLACK = 0.15
 """How much further than a sphere's radius is searched, for what moves in a step."""
@@ -32,8 +33,38 @@ OFFSET = 0.5
 MARGIN = 0.02
 """Power below which a generator that is not a sphere's own is penalised, in edge lengths
 squared; twice SAFE where that is more."""
+SHARP = 1000.0
+"""Weight of a vertex on its crease, in edge lengths squared."""
 LARGEST_STEP = 0.12
 """Of a centre or radius, in edge lengths."""
+
+
+def _on_creases(creases: Creases, spheres: Spheres) -> Rows:
+    """Vertices on creases, and two planes through each one's crease; three at a corner."""
+    at = np.flatnonzero(spheres.rank > 0)
+    foot, tangent = creases.closest(spheres.centres[at])
+    axis = np.eye(3)[np.abs(tangent).argmin(axis=1)]
+    across = np.cross(tangent, axis)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    corner = spheres.rank[at] == 2
+    vertex = np.concatenate([at, at, at[corner]])
+    direction = np.concatenate([across, np.cross(tangent, across), tangent[corner]])
+    place = np.concatenate([foot, foot, foot[corner]])
+    if corner.any():
+        from scipy.spatial import cKDTree
+
+        exact = creases.corners
+        near = exact[cKDTree(exact).query(spheres.centres[at[corner]])[1]]
+        place[np.flatnonzero(corner)] = near
+        place[len(at) + np.flatnonzero(corner)] = near
+        place[2 * len(at) :] = near
+    return Rows(
+        np.repeat(vertex[:, None], 3, axis=1),
+        np.tile([1.0, 0.0, 0.0], (len(vertex), 1)),
+        direction,
+        np.einsum("ij,ij->i", direction, place),
+        np.full(len(vertex), 1 / max(1, len(vertex))),
+    )
 
 
 class SphereProblem:
@@ -43,6 +74,7 @@ class SphereProblem:
         self,
         spheres: Spheres,
         surface: TrueSurface,
+        creases: Creases | None,
         weights: Mapping[str, float],
         free: NDArray[np.bool_],
         threads: int,
@@ -61,11 +93,18 @@ class SphereProblem:
             hold = spheres.hold[rows.corners].min(axis=1)
             scale = weights["shape"] * len(centres) * rows.share * hold
             self.shape.append((rows, np.sqrt(scale) / self.length[rows.corners].mean(axis=1)))
+        if creases is not None:
+            rows = _on_creases(creases, spheres)
+            hold = spheres.hold[rows.corners[:, 0]]
+            self.shape.append((rows, np.sqrt(SHARP * hold) / self.length[rows.corners[:, 0]]))
         self.laplacian = Laplacian.of(EdgeTable.of(triangles).ends, self.count)
         # Where the shape is let go, smoothness takes its place.
         loose = weights["smooth"] * (1 - spheres.hold)
         self.bending = np.sqrt(weights["normal"] + loose) / self.length
         self.smoothing = np.sqrt(weights["smooth"]) / self.length
+        # Across a crease nothing is smooth.
+        self.bending = np.where(spheres.rank > 0, 0.0, self.bending)
+        self.smoothing = np.where(spheres.rank > 0, 0.0, self.smoothing)
         self.evening = np.sqrt(weights["radius"]) / self.length
 
     def moved(self, state: Spheres, step: Floats) -> Spheres:

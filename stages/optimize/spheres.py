@@ -33,12 +33,19 @@ class Spheres:
     """Share of the shape's weight at each vertex."""
     age: Floats
     """Rounds of repair in which each vertex was at an intruder."""
+    rank: Ints
+    """0 for a vertex that is free, 1 on a crease, 2 at a corner."""
+    creases: Ints
+    """The edges on creases, by their ends ``(K, 2)``."""
 
     @classmethod
     def at(cls, mesh: Sized) -> Spheres:
         length = edge_lengths(mesh.vertices, mesh.triangles)
         ones = np.ones_like(length)
-        return cls(mesh.vertices, FIRST_RADIUS * length, mesh.triangles, length, ones, 0 * ones)
+        return cls(
+            mesh.vertices, FIRST_RADIUS * length, mesh.triangles, length, ones, 0 * ones,
+            mesh.rank, mesh.creases,
+        )  # fmt: skip
 
     @property
     def face_lengths(self) -> Floats:
@@ -66,12 +73,14 @@ class Spheres:
     def as_mesh(self) -> Sized:
         """Centres, triangles and lengths; radii and holds are carried along."""
         carried = np.stack([self.radii, self.hold, self.age], axis=1)
-        return Sized(self.centres, self.triangles, self.lengths, carried)
+        return Sized(self.centres, self.triangles, self.lengths, carried, self.rank, self.creases)
 
     @classmethod
     def of_mesh(cls, mesh: Sized) -> Spheres:
         radii, hold, age = mesh.carried.T[:3]
-        return cls(mesh.vertices, radii, mesh.triangles, mesh.length, hold, age)
+        return cls(
+            mesh.vertices, radii, mesh.triangles, mesh.length, hold, age, mesh.rank, mesh.creases
+        )
 
 
 def edge_lengths(vertices: Floats, triangles: Ints) -> Floats:

@@ -65,9 +65,21 @@ class Sized:
     carried: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Further values of the vertices ``(V, k)`` that go with them through the operations."""
 
+    rank: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    """0 for a vertex that is free, 1 on a crease, 2 at a corner, ``(V,)``."""
+    creases: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    """The edges that lie on creases, by their ends ``(K, 2)``."""
+
     def __post_init__(self) -> None:
+        if len(self.rank) != len(self.vertices):
+            self.rank = np.zeros(len(self.vertices), np.int64)
         if len(self.carried) != len(self.vertices):
             self.carried = np.zeros((len(self.vertices), 0))
+
+    def on_crease(self, ends: Ints) -> NDArray[np.bool_]:
+        """Which edges ``(E, 2)`` lie on creases."""
+        span = np.array([len(self.vertices), 1])
+        return np.isin(np.sort(ends, axis=1) @ span, np.sort(self.creases, axis=1) @ span)
 
     def edge_target(self, ends: Ints) -> Floats:
         return np.asarray(self.length[ends].mean(axis=1))

@@ -45,6 +45,11 @@ def split_long(mesh: Sized, factor: float = LONGEST) -> int:
         a, b = table.ends[chosen].T
         c, d = table.opposite[chosen].T
         new = len(mesh.vertices) + np.arange(len(chosen))
+        split = mesh.on_crease(table.ends[chosen])
+        kept = mesh.creases[~_among(mesh.creases, table.ends[chosen], len(mesh.vertices))]
+        halves = [np.stack([end[split], new[split]], 1) for end in (a, b)]
+        mesh.creases = np.concatenate([kept, *halves])
+        mesh.rank = np.concatenate([mesh.rank, split.astype(np.int64)])
         left, right = table.triangles[chosen].T
         triangles = mesh.triangles.copy()
         triangles[left] = np.stack([a, new, c], 1)
@@ -77,22 +82,29 @@ def contract_short(
         wanted = (ratio < factor) & (valence[table.opposite] > 3).all(axis=1)
         if where is not None:
             wanted &= where[ends].any(axis=1)
+        wanted &= _keeps_creases(mesh, table)
         candidate = np.flatnonzero(wanted)
         if refused:
-            key = ends[candidate, 0] * count + ends[candidate, 1]
+            key = ends[candidate].min(axis=1) * count + ends[candidate].max(axis=1)
             candidate = candidate[~np.isin(key, np.fromiter(refused, np.int64))]
         candidate = candidate[_common_neighbours(ends, candidate, count) == 2]
         if len(candidate) == 0:
             break
         chosen = candidate[_apart(table, ratio, candidate, count)]
         a, b = ends[chosen].T
+        # What is on a crease stays there.
+        turned = mesh.rank[a] < mesh.rank[b]
+        a, b = np.where(turned, b, a), np.where(turned, a, b)
         place = 0.5 * (mesh.vertices[a] + mesh.vertices[b])
+        higher = mesh.rank[a] > mesh.rank[b]
+        place[higher] = mesh.vertices[a[higher]]
         good = _may_contract(mesh, table, chosen, place)
         for end in (a, b):
-            left = np.flatnonzero(~good)
+            left = np.flatnonzero(~good & ~higher)
             place[left] = mesh.vertices[end[left]]
             good[left] = _may_contract(mesh, table, chosen[left], place[left])
-        refused |= set((a[~good] * count + b[~good]).tolist())
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        refused |= set((low[~good] * count + high[~good]).tolist())
         a, b, place = a[good], b[good], place[good]
         done += len(a)
         mesh.vertices[a] = place
@@ -100,15 +112,18 @@ def contract_short(
         mesh.carried[a] = np.minimum(mesh.carried[a], mesh.carried[b])
         target = np.arange(count)
         target[b] = a
+        mesh.creases = target[mesh.creases]
+        mesh.creases = mesh.creases[mesh.creases[:, 0] != mesh.creases[:, 1]]
         triangles = target[mesh.triangles]
         gone = (triangles == triangles[:, [1, 2, 0]]).any(axis=1)
         # Numbers stay until the end of the sweep, so that refused edges keep their key.
         mesh.triangles = triangles[~gone]
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.triangles] = True
-    mesh.triangles = (np.cumsum(used) - 1)[mesh.triangles]
-    mesh.vertices, mesh.length, mesh.carried = (
-        values[used] for values in (mesh.vertices, mesh.length, mesh.carried)
+    number = np.cumsum(used) - 1
+    mesh.triangles, mesh.creases = number[mesh.triangles], number[mesh.creases]
+    mesh.vertices, mesh.length, mesh.carried, mesh.rank = (
+        values[used] for values in (mesh.vertices, mesh.length, mesh.carried, mesh.rank)
     )
     return done
 
@@ -127,6 +142,7 @@ def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
         value = gain(mesh, table)
         valence = np.bincount(mesh.triangles.reshape(-1), minlength=count)
         wanted = (value > 0) & (valence[table.ends] > 3).all(axis=1)
+        wanted &= ~mesh.on_crease(table.ends)
         wanted &= table.opposite[:, 0] != table.opposite[:, 1]
         candidate = np.flatnonzero(wanted)
         new_key = np.sort(table.opposite[candidate], axis=1) @ np.array([count, 1])
@@ -187,6 +203,25 @@ def fold_cosines(mesh: Sized, table: EdgeTable) -> tuple[Floats, Floats]:
         for pair in (((a, b, c), (b, a, d)), ((a, d, c), (b, c, d)))
     )
     return np.einsum("ij,ij->i", *before), np.einsum("ij,ij->i", *after)
+
+
+def _among(pairs: Ints, others: Ints, count: int) -> NDArray[np.bool_]:
+    """Which unordered ``pairs (K, 2)`` of vertices are among ``others``."""
+    span = np.array([count, 1])
+    return np.isin(np.sort(pairs, axis=1) @ span, np.sort(others, axis=1) @ span)
+
+
+def _keeps_creases(mesh: Sized, table: EdgeTable) -> NDArray[np.bool_]:
+    """Which edges may be contracted without joining two creases, or losing one or a corner."""
+    rank = mesh.rank[table.ends]
+    on = mesh.on_crease(table.ends)
+    good = (rank.min(axis=1) == 0) | (on & (rank.min(axis=1) < 2))
+    # A crease of three edges around a triangle would collapse onto itself.
+    for side in range(2):
+        other = table.opposite[:, side]
+        around = [mesh.on_crease(np.stack([table.ends[:, k], other], axis=1)) for k in range(2)]
+        good &= ~(on & around[0] & around[1])
+    return good
 
 
 def _ranks(priority: Floats) -> Ints:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optimize.fitting import fit
+from .creases import CORNER, CREASE, FREE, Creases, drawn_on, embed
 from .edge_table import EdgeTable, Sized
 from .geometry import triangle_normals, vertex_normals
 from .operations import (
@@ -34,6 +35,8 @@ STEP = 0.7
 """Share of the way that a vertex goes at once towards the middle of its triangles."""
 LAST, LAST_STEP = 3, 0.2
 """The last iterations, and that share in them: creases come to rest."""
+EMBEDDED = 4
+"""Iterations before the creases are looked for among the edges."""
 FITS = 3
 """Fits at the end."""
 SHARP = 0.866
@@ -48,18 +51,21 @@ and the fold is an accident."""
 
 
 def remesh(
-    vertices: Floats, triangles: Ints, length: Length, surface: TrueSurface, iterations: int = 12
-) -> Sized:
+    vertices: Floats, triangles: Ints, length: Length, surface: TrueSurface,
+    creases: Creases | None = None, iterations: int = 12,
+) -> tuple[Sized, int]:  # fmt: skip
     """A triangulation of the same closed surface with edges about ``length(points)`` long, fitted
-    to ``surface``.
+    to ``surface``, with edges along its ``creases``; and how many of those have none.
 
     Raises ValueError when the surface is not closed and manifold along its edges.
     """
-    mesh = Sized(vertices.copy(), triangles.copy(), length(vertices))
+    mesh, missed = Sized(vertices.copy(), triangles.copy(), length(vertices)), 0
     nearer, valence, delaunay = (
         nearer_gain(surface), smooth_only(valence_gain), keeping(surface, delaunay_gain)
     )  # fmt: skip
     for iteration in range(iterations):
+        if creases is not None and iteration == EMBEDDED:
+            missed = embed(mesh, creases)
         split_long(mesh)
         contract_short(mesh)
         flip(mesh, valence)
@@ -67,6 +73,8 @@ def remesh(
         relax(mesh, STEP if iteration < iterations - LAST else LAST_STEP)
         fit(mesh, surface)
         unfold(mesh, surface)
+        if creases is not None:
+            drawn_on(mesh, creases)
         mesh.length = length(mesh.vertices)
     contract_short(mesh)
     flip(mesh, smooth_only(delaunay_gain))
@@ -76,7 +84,9 @@ def remesh(
     flip(mesh, delaunay)
     unfold(mesh, surface)
     fit(mesh, surface)
-    return mesh
+    if creases is not None:
+        drawn_on(mesh, creases)
+    return mesh, missed
 
 
 def relax(mesh: Sized, step: float) -> None:
@@ -92,6 +102,14 @@ def relax(mesh: Sized, step: float) -> None:
     normal = vertex_normals(mesh.vertices, mesh.triangles)
     move = mean - mesh.vertices
     move -= np.einsum("ij,ij->i", move, normal)[:, None] * normal
+    on = np.flatnonzero(mesh.rank == CREASE)
+    if len(on):
+        # Along a crease, to the middle of the two neighbours on it.
+        both = np.concatenate([mesh.creases, mesh.creases[:, ::-1]])
+        for k in range(3):
+            total = np.bincount(both[:, 0], mesh.vertices[both[:, 1], k], minlength=count)
+            move[on, k] = 0.5 * total[on] - mesh.vertices[on, k]
+    move[mesh.rank == CORNER] = 0.0
     mesh.vertices = mesh.vertices + step * move
 
 
@@ -175,6 +193,7 @@ def unfold(mesh: Sized, surface: TrueSurface, rounds: int = 5) -> None:
         ends = np.concatenate([table.ends, table.ends[:, ::-1]])
         degree = np.bincount(ends[:, 0])
         moved = np.unique(mesh.triangles[wrong])
+        moved = moved[mesh.rank[moved] == FREE]
         sums = [np.bincount(ends[:, 0], mesh.vertices[ends[:, 1], k]) for k in range(3)]
         mesh.vertices = mesh.vertices.copy()
         mesh.vertices[moved] = (np.stack(sums, 1) / degree[:, None])[moved]

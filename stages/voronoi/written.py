@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,44 @@ class Written:
     """Of the diagram, after merging at MERGE."""
     merged_within: float
     """How far vertices were moved to make slivers vanish, in units of h0."""
+
+    def facts(self) -> dict[str, Any]:
+        """What was found, for the manifest."""
+        return {
+            "certificate": vars(self.certificate) | {"failed": list(self.certificate.failed)},
+            "conformity": vars(self.conformity),
+            "faces_after_merging": self.faces_after_merging,
+            "written_faces": self.mesh.face_count,
+            "merged_within": self.merged_within,
+            "cleanup": {
+                "dropped_flat": self.cleaned.dropped_flat,
+                "merged_vertices": self.cleaned.merged_vertices,
+                "dropped_faces": self.cleaned.dropped_faces,
+                "kept_degenerate": self.cleaned.kept_degenerate,
+            },
+        }
+
+    def warnings(self, count: int, merge: float) -> list[str]:
+        """What the user is told of ``count`` trained faces that have no certificate."""
+        if self.certificate.holds:
+            return []
+        said = []
+        if self.conformity.pair_faces < count:
+            said.append(
+                f"{count - self.conformity.pair_faces} of {count} trained faces have no face in "
+                "the diagram"
+            )
+        merged = ""
+        if merge and self.merged_within:
+            merged = f", slivers merged within {self.merged_within:.3f} h0"
+        elif merge:
+            merged = ", its slivers not merged because that would change its topology"
+        said.append(
+            f"no certificate ({', '.join(self.certificate.failed)} fails): the interface of the "
+            f"generators is written{merged}, {100 * self.conformity.pair_area_share:.2f} % of its "
+            "area between pairs"
+        )
+        return said
 
 
 def written(

@@ -1,0 +1,174 @@
+"""Creases of the true surface, and the edges of a triangulation that lie on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from .edge_table import EdgeTable, Sized
+from .polygons import Floats, Ints
+
+FREE, CREASE, CORNER = 0, 1, 2
+"""Ranks of vertices."""
+NEAR = 1.0
+"""How far, in target lengths, vertices may be from the crease that they are drawn to."""
+DETOUR = 50.0
+"""What a way along edges costs more, per squared distance from the crease in target lengths."""
+PARTS = 64
+"""Points of an edge at which its distance from a crease is taken."""
+DENSE = 0.1
+"""Distance between the points that stand for a crease, in units of h0."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A crease between two corners, or a closed one: its points in order, ``(N, 3)``."""
+
+    points: Floats
+    closed: bool
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+
+
+class Creases:
+    """The creases of a surface, in model units; corners are where chains end."""
+
+    def __init__(self, chains: list[Chain]) -> None:
+        from scipy.spatial import cKDTree
+
+        self.chains = chains
+        starts = np.concatenate([chain.points[:-1] for chain in chains])
+        ways = np.concatenate([np.diff(chain.points, axis=0) for chain in chains])
+        self.starts, self.ways = starts, ways
+        length = np.linalg.norm(ways, axis=1)
+        count = np.maximum(1, np.ceil(length / DENSE)).astype(int)
+        self.owner = np.repeat(np.arange(len(ways)), count)
+        first = np.repeat(np.cumsum(count) - count, count)
+        part = (np.arange(len(self.owner)) - first + 0.5) / count[self.owner]
+        self.tree: Any = cKDTree(starts[self.owner] + part[:, None] * ways[self.owner])
+
+    def closest(self, at: Floats) -> tuple[Floats, Floats]:
+        """The closest points ``(N, 3)`` on the creases and the unit tangents there."""
+        _, found = self.tree.query(at, 4)
+        best, foot, way = np.full(len(at), np.inf), np.zeros_like(at), np.zeros_like(at)
+        for column in range(found.shape[1]):
+            segment = self.owner[found[:, column]]
+            along = self.ways[segment]
+            square = np.einsum("ij,ij->i", along, along)
+            share = np.einsum("ij,ij->i", at - self.starts[segment], along) / square
+            place = self.starts[segment] + np.clip(share, 0, 1)[:, None] * along
+            distance = ((at - place) ** 2).sum(axis=1)
+            nearer = distance < best
+            best[nearer], foot[nearer] = distance[nearer], place[nearer]
+            way[nearer] = (along / np.sqrt(square)[:, None])[nearer]
+        return foot, way
+
+    @property
+    def corners(self) -> Floats:
+        ends = [chain.points[[0, -1]] for chain in self.chains if not chain.closed]
+        return np.unique(np.concatenate(ends), axis=0) if ends else np.zeros((0, 3))
+
+
+def drawn_on(mesh: Sized, creases: Creases) -> None:
+    """Move the vertices of a crease onto it; corners stay."""
+    row = np.flatnonzero(mesh.rank == CREASE)
+    mesh.vertices = mesh.vertices.copy()
+    mesh.vertices[row] = creases.closest(mesh.vertices[row])[0]
+
+
+def embed(mesh: Sized, creases: Creases) -> int:
+    """Find ways along the edges of ``mesh`` that follow the creases, mark their edges and vertices
+    and move them there. Returns the number of chains for which there is no such way."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
+    table = EdgeTable.of(mesh.triangles)
+    count = len(mesh.vertices)
+    rank, found = np.zeros(count, dtype=np.int64), []
+    place = mesh.vertices.copy()
+    tree: Any = cKDTree(mesh.vertices)
+    corner_of: dict[tuple[float, ...], int] = {}
+    for corner in creases.corners:
+        distance, near = tree.query(corner, 6)
+        near = [v for d, v in zip(distance, near, strict=True)
+                if rank[v] == FREE and d < NEAR * mesh.length[v]]  # fmt: skip
+        if near:
+            rank[near[0]], place[near[0]] = CORNER, corner
+            corner_of[tuple(corner)] = near[0]
+    missed = 0
+    lengths = table.lengths(mesh.vertices)
+    target = mesh.edge_target(table.ends)
+    middle = mesh.vertices[table.ends].mean(axis=1)
+    for chain in sorted(creases.chains, key=lambda chain: chain.length):
+        own = Creases([chain])
+        far = np.stack(
+            [np.linalg.norm(at - own.closest(at)[0], axis=1) for at in
+             (middle, mesh.vertices[table.ends[:, 0]], mesh.vertices[table.ends[:, 1]])], 1
+        ) / target[:, None]  # fmt: skip
+        if chain.closed:
+            third = len(chain.points) // 3
+            stops = [int(tree.query(chain.points[k * third])[1]) for k in range(3)]
+            stops.append(stops[0])
+        else:
+            ends = [corner_of.get(tuple(chain.points[k])) for k in (0, -1)]
+            if None in ends or ends[0] == ends[1]:
+                missed += 1
+                continue
+            stops = [int(end) for end in ends if end is not None]
+        usable = (far < NEAR).all(axis=1)
+        way: list[int] | None = [stops[0]]
+        taken = rank.copy()
+        for start, end in pairwise(stops):
+            blocked = taken != FREE
+            blocked[[start, end]] = False
+            row = np.flatnonzero(usable & ~blocked[table.ends].any(axis=1))
+            cost = lengths[row] * (1 + DETOUR * (far[row] ** 2).mean(axis=1))
+            a, b = table.ends[row].T
+            graph = csr_array((cost, (a, b)), shape=(count, count))
+            _, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+            if before[end] < 0:
+                way = None
+                break
+            steps = [end]
+            while steps[-1] != start:
+                steps.append(int(before[steps[-1]]))
+            way += steps[-2::-1]
+            taken[steps] = np.maximum(taken[steps], CREASE)
+        if way is None:
+            missed += 1
+            continue
+        rank[way] = np.maximum(rank[way], CREASE)
+        found += list(pairwise(way))
+    mesh.rank = rank
+    mesh.creases = np.array(found, dtype=np.int64).reshape(-1, 2)
+    mesh.vertices = place
+    drawn_on(mesh, creases)
+    return missed
+
+
+def deviation(creases: Creases, vertices: Floats, rank: Ints, edges: Ints) -> dict[str, float]:
+    """How far vertices and ``edges (K, 2)`` on creases are from these, in units of h0, and the
+    creases from the edges."""
+    from scipy.spatial import cKDTree
+
+    on = vertices[rank > FREE]
+    if len(edges) == 0:
+        return {}
+    off = np.linalg.norm(on - creases.closest(on)[0], axis=1)
+    parts = np.linspace(0, 1, PARTS)[:, None, None]
+    along = ((1 - parts) * vertices[edges[:, 0]] + parts * vertices[edges[:, 1]]).reshape(-1, 3)
+    edge_off = np.linalg.norm(along - creases.closest(along)[0], axis=1)
+    away = cKDTree(along).query(creases.tree.data)[0]
+    return {
+        "vertices": len(on),
+        "vertex_distance_max": float(off.max()),
+        "edge_distance_max": float(edge_off.max()),
+        "distance_to_edges_median": float(np.median(away)),
+        "distance_to_edges_p99": float(np.percentile(away, 99)),
+    }

@@ -1,0 +1,149 @@
+"""Creases: found on meshes and fields, followed by edges, kept to by the training."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import Cli, random_rotation, sphere_mesh, surface_of
+from test_sources import write_obj
+
+from vorolight.stages.sources.contouring import contoured
+from vorolight.stages.sources.creases import of_triangles
+from vorolight.stages.sources.resolve import identify
+from vorolight.stages.surface.creases import CORNER, CREASE, Creases, deviation, embed
+from vorolight.stages.surface.edge_table import EdgeTable, Sized
+from vorolight.stages.surface.model_frame import ModelFrame
+from vorolight.stages.surface.operations import contract_short, delaunay_gain, flip, split_long
+from vorolight.stages.surface.remesh import remesh
+
+
+def cube(side: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A turned cube of many triangles."""
+    mesh = trimesh.creation.box((side, side, side)).subdivide().subdivide().subdivide()
+    return np.asarray(mesh.vertices) @ random_rotation(seed).T, np.asarray(mesh.faces, np.int64)
+
+
+def test_creases_of_a_cube_and_of_a_cylinder() -> None:
+    chains = of_triangles(*cube(5.0), 40.0)
+    assert len(chains) == 12
+    assert {round(chain.length, 9) for chain in chains} == {5.0}
+    assert len(Creases(chains).corners) == 8
+    assert of_triangles(*cube(5.0), 95.0) == []
+    assert of_triangles(*cube(1.0), 40.0) == []  # smaller than two voxels: detail
+    tube = trimesh.creation.cylinder(3.0, 6.0, sections=64)
+    rims = of_triangles(np.asarray(tube.vertices), np.asarray(tube.faces, np.int64), 40.0)
+    assert [chain.closed for chain in rims] == [True, True]
+    assert rims[0].length == pytest.approx(2 * np.pi * 3.0, rel=1e-2)
+    assert len(Creases(rims).corners) == 0
+
+
+def test_what_is_round_or_rough_has_no_creases() -> None:
+    vertices, triangles = sphere_mesh(5.0, 4)
+    assert of_triangles(vertices, triangles, 40.0) == []
+    rough = vertices + np.random.default_rng(0).normal(0, 0.1, vertices.shape)
+    assert of_triangles(rough, triangles, 40.0) == []
+
+
+def test_closest_points_of_creases() -> None:
+    creases = Creases(of_triangles(*cube(5.0), 40.0))
+    turn = random_rotation(0)
+    at = np.array([[2.0, 2.7, 2.3], [3.0, 3.0, 3.0], [0.0, 2.4, 2.6]])
+    foot, tangent = creases.closest(at @ turn.T)
+    exact = np.array([[2.0, 2.5, 2.5], [2.5, 2.5, 2.5], [0.0, 2.5, 2.5]])
+    assert np.allclose(foot @ turn, exact, atol=1e-9)
+    assert np.allclose(np.abs(tangent[[0, 2]] @ turn), [[1, 0, 0], [1, 0, 0]], atol=1e-9)
+
+
+def test_dual_contouring_keeps_edges_and_corners() -> None:
+    source = identify("max(abs(x), abs(y), abs(z)) - 1").open()
+    frame = ModelFrame(np.full(3, -1.0), 0.2)
+    vertices, triangles = contoured(source, frame)
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(1000, rel=1e-6)  # outward, and every corner is there
+    chains = of_triangles(vertices, triangles, 40.0)
+    assert len(chains) == 12
+    at = frame.input_from_model(np.concatenate([chain.points for chain in chains]))
+    # On an edge of the cube two coordinates are 1.
+    assert np.abs(np.sort(np.abs(at), axis=1)[:, 1:] - 1).max() < 1e-6
+
+
+def whole(mesh: Sized) -> None:
+    """Creases are chains: two edges at each of their vertices, three at a cube's corners."""
+    degree = np.bincount(mesh.creases.reshape(-1), minlength=len(mesh.vertices))
+    assert (degree[mesh.rank == CREASE] == 2).all()
+    assert (degree[mesh.rank == CORNER] == 3).all()
+    assert (mesh.rank == CORNER).sum() == 8
+    table = EdgeTable.of(mesh.triangles)
+    assert mesh.on_crease(table.ends).sum() == len(mesh.creases)
+
+
+def test_edges_follow_creases_through_remeshing(tmp_path: Path) -> None:
+    vertices, triangles = cube(6.0, 1)
+    creases = Creases(of_triangles(vertices, triangles, 40.0))
+    surface = surface_of(tmp_path / "cube.ply", (vertices, triangles))
+    rounded = vertices * (3.0 / np.linalg.norm(vertices, axis=1) * 0.15 + 0.85)[:, None]
+    mesh, missed = remesh(rounded, triangles, lambda at: np.full(len(at), 0.7), surface, creases)
+    assert missed == 0
+    whole(mesh)
+    found = deviation(creases, mesh.vertices, mesh.rank, mesh.creases)
+    assert found["edge_distance_max"] < 1e-9
+    assert found["distance_to_edges_p99"] < 0.05
+    volume = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).volume
+    assert volume == pytest.approx(216, rel=1e-4)
+    for length in (0.35, 1.2):
+        mesh.length = np.full(len(mesh.vertices), length)
+        split_long(mesh)
+        contract_short(mesh)
+        flip(mesh, delaunay_gain)
+        whole(mesh)
+
+
+def test_a_crease_that_no_edges_can_follow_is_counted() -> None:
+    vertices, triangles = sphere_mesh(3.0, 3)
+    mesh = Sized(vertices, triangles, np.full(len(vertices), 0.3))
+    far = Creases(of_triangles(*cube(9.0), 40.0))
+    assert embed(mesh, far) == 12
+    assert len(mesh.creases) == 0
+    assert (mesh.rank == 0).all()
+
+
+@pytest.mark.parametrize("words", [(), ("--sharp", "off")])
+def test_trained_triangles_keep_to_creases(
+    words: tuple[str, ...], tmp_path: Path, cli: Cli
+) -> None:
+    vertices, triangles = cube(2.0, 2)
+    write_obj(tmp_path / "cube.obj", vertices, triangles)
+    start = ["run", "cube.obj", "-n", 8, "--init-iterations", 10, "--until", "sphere-train"]
+    done = cli(*start, *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    record = json.loads((tmp_path / "cube.vorolight" / "sphere-train.json").read_text())["metrics"]
+    assert record["certificate"]["holds"]
+    if words:
+        assert "creases" not in record
+        return
+    found = record["creases"]
+    assert (found["chains"], found["missed"], found["corners"]) == (12, 0, 8)
+    assert found["edge_distance_max"] < 0.02
+    mesh = trimesh.load(tmp_path / "cube.vorolight" / "sphere-train.ply", process=False)
+    assert mesh.volume == pytest.approx(8, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--sharp", "soft"], "must be auto, off, or from 5 to 175 degrees"),
+        (["--sharp", "200"], "from 5 to 175 degrees"),
+        (["--sharp", "30", "--faces", "polygon"], "only triangles have creases"),
+    ],
+)
+def test_impossible_options_are_refused(
+    words: list[str], reason: str, tmp_path: Path, cli: Cli
+) -> None:
+    done = cli("sphere-train", *words, "--run", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert reason in done.stderr
