@@ -63,10 +63,10 @@ def _chains(vertices: Floats, edges: Ints) -> list[Chain]:
     corner |= _turning(vertices, edges, degree == 2)
     # A chain is a component of the edges that meet elsewhere than in corners: each end that is a
     # corner gets a number of its own.
-    ends = edges.reshape(-1).copy()
-    cut = np.flatnonzero(corner[ends])
-    ends[cut] = count + np.arange(len(cut))
-    ends = ends.reshape(-1, 2)
+    flat = edges.reshape(-1).copy()
+    cut = np.flatnonzero(corner[flat])
+    flat[cut] = count + np.arange(len(cut))
+    ends = flat.reshape(-1, 2)
     size = count + len(cut)
     origin = np.concatenate([np.arange(count), edges.reshape(-1)[cut]])
     ones = np.ones(len(ends))
@@ -144,4 +144,4 @@ def _turning(vertices: Floats, edges: Ints, plain: NDArray[np.bool_]) -> NDArray
     np.add.at(total, edges[:, 0], way)
     np.subtract.at(total, edges[:, 1], way)
     # Of unit ways u and v out of the vertex |u + v|^2 is 2 + 2 u.v, and u.v is -1 straight on.
-    return plain & ((total**2).sum(axis=1) / 2 - 1 > -TURN)
+    return np.asarray(plain & ((total**2).sum(axis=1) / 2 - 1 > -TURN))

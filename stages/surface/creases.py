@@ -84,8 +84,6 @@ def drawn_on(mesh: Sized, creases: Creases) -> None:
 def embed(mesh: Sized, creases: Creases) -> int:
     """Find ways along the edges of ``mesh`` that follow the creases, mark their edges and vertices
     and move them there. Returns the number of chains for which there is no such way."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
 
     table = EdgeTable.of(mesh.triangles)
@@ -122,25 +120,9 @@ def embed(mesh: Sized, creases: Creases) -> int:
                 continue
             stops = [int(end) for end in ends if end is not None]
         usable = (far < NEAR).all(axis=1)
-        way: list[int] | None = [stops[0]]
-        taken = rank.copy()
-        for start, end in pairwise(stops):
-            blocked = taken != FREE
-            blocked[[start, end]] = False
-            row = np.flatnonzero(usable & ~blocked[table.ends].any(axis=1))
-            cost = lengths[row] * (1 + DETOUR * (far[row] ** 2).mean(axis=1))
-            a, b = table.ends[row].T
-            graph = csr_array((cost, (a, b)), shape=(count, count))
-            _, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-            if before[end] < 0:
-                way = None
-                break
-            steps = [end]
-            while steps[-1] != start:
-                steps.append(int(before[steps[-1]]))
-            way += steps[-2::-1]
-            taken[steps] = np.maximum(taken[steps], CREASE)
-        if way is None:
+        cost = lengths * (1 + DETOUR * (far**2).mean(axis=1))
+        way = _way(table.ends[usable], cost[usable], stops, rank)
+        if not way:
             missed += 1
             continue
         rank[way] = np.maximum(rank[way], CREASE)
@@ -150,6 +132,29 @@ def embed(mesh: Sized, creases: Creases) -> int:
     mesh.vertices = place
     drawn_on(mesh, creases)
     return missed
+
+
+def _way(ends: Ints, cost: Floats, stops: list[int], rank: Ints) -> list[int]:
+    """The cheapest way along edges through all ``stops`` in order that meets no vertex twice, and
+    none of a rank; empty if there is none."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
+    way, blocked = [stops[0]], rank != FREE
+    blocked[stops] = True
+    for start, end in pairwise(stops):
+        blocked[[start, end]] = False
+        row = np.flatnonzero(~blocked[ends].any(axis=1))
+        graph = csr_array((cost[row], tuple(ends[row].T)), shape=(len(rank), len(rank)))
+        _, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+        if before[end] < 0:
+            return []
+        steps = [end]
+        while steps[-1] != start:
+            steps.append(int(before[steps[-1]]))
+        way += steps[-2::-1]
+        blocked[steps] = True
+    return way
 
 
 def deviation(creases: Creases, vertices: Floats, rank: Ints, edges: Ints) -> dict[str, float]:

@@ -122,8 +122,9 @@ def contract_short(
     used[mesh.triangles] = True
     number = np.cumsum(used) - 1
     mesh.triangles, mesh.creases = number[mesh.triangles], number[mesh.creases]
-    mesh.vertices, mesh.length, mesh.carried, mesh.rank = (
-        values[used] for values in (mesh.vertices, mesh.length, mesh.carried, mesh.rank)
+    mesh.rank = mesh.rank[used]
+    mesh.vertices, mesh.length, mesh.carried = (
+        values[used] for values in (mesh.vertices, mesh.length, mesh.carried)
     )
     return done
 
@@ -221,7 +222,7 @@ def _keeps_creases(mesh: Sized, table: EdgeTable) -> NDArray[np.bool_]:
         other = table.opposite[:, side]
         around = [mesh.on_crease(np.stack([table.ends[:, k], other], axis=1)) for k in range(2)]
         good &= ~(on & around[0] & around[1])
-    return good
+    return np.asarray(good)
 
 
 def _ranks(priority: Floats) -> Ints:
