@@ -126,7 +126,7 @@ def _memory(context: Context) -> float:
     from .sources.points import PointSource
 
     source = context.source()
-    voxels = peak(240.0, 240.0, 0.25, float(context.params.n_init) ** 3)
+    voxels = peak(290.0, 290.0, 0.25, float(context.params.n_init) ** 3)
     if isinstance(source, PointSource):
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
     if source.kind == "views":

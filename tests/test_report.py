@@ -399,7 +399,7 @@ def test_the_same_files_make_the_same_page(
     first = path.read_bytes()
     assert written(run, monkeypatch).read_bytes() == first
     (run / "sphere-train.h5").write_bytes((run / "sphere-train.h5").read_bytes()[:5000])
-    with pytest.raises(ArtifactError, match=r"sphere-train\.h5: damaged"):
+    with pytest.raises(ArtifactError, match=r"sphere-train\.h5: changed since"):
         written(run, monkeypatch)
     (run / "sphere-train.h5").unlink()
     with pytest.raises(ArtifactError, match=r"sphere-train\.h5: missing"):
