@@ -267,6 +267,11 @@ def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]], tmp_pa
         with pytest.raises(ArtifactError, match="not as it was written"):
             read_manifest(path)
         del part["another"]
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "init.json").symlink_to(path)
+    with pytest.raises(ArtifactError, match="no manifest of this folder"):
+        read_manifest(elsewhere / "init.json")
     for text in ("[" * 100_000, '{"a": NaN}', '{"a": 1e999}', "", "[]", "{}"):
         path.write_text(text)
         with pytest.raises(ArtifactError, match=r"init\.json"):

@@ -54,8 +54,8 @@ def _sealed(manifest: Manifest) -> Manifest:
 def read(path: Path) -> Manifest:
     """A manifest from disk. Raises ArtifactError when it is missing, damaged or not ours."""
     try:
-        if path.stat().st_size > LARGEST or not path.is_file():
-            raise ArtifactError(f"{path}: no manifest; delete it and run its stage again")
+        if path.stat().st_size > LARGEST or not leads_inside(path):
+            raise ArtifactError(f"{path}: no manifest of this folder; delete it and run again")
         manifest = json.loads(path.read_bytes(), parse_constant=_no_number, parse_float=_finite)
     except FileNotFoundError:
         raise ArtifactError(f"{path}: missing; run its stage first") from None
