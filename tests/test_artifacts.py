@@ -267,6 +267,9 @@ def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]], tmp_pa
         with pytest.raises(ArtifactError, match="not as it was written"):
             read_manifest(path)
         del part["another"]
+    (tmp_path / "classify.json").write_text(json.dumps(good))
+    with pytest.raises(ArtifactError, match="is of another stage"):
+        read_manifest(tmp_path / "classify.json")
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "init.json").symlink_to(path)

@@ -65,6 +65,8 @@ def read(path: Path) -> Manifest:
         schemas.validate(manifest)
         if "checksum" in manifest and manifest != _sealed(manifest):
             raise ValueError("is not as it was written")
+        if not all(entry["path"].startswith(f"{path.stem}.") for entry in manifest["outputs"]):
+            raise ValueError("is of another stage")
     # A deep or strange value may upset the validator itself.
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = " ".join(str(error).split())
