@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+HUGE = 1e100
+"""More than any length or coordinate whose powers are to be numbers."""
 TINY = 1e-300
 """Less than any length; what must be positive is no less."""
 
@@ -200,8 +202,8 @@ def check(stage: str, arrays: Mapping[str, Any]) -> None:
         if array.size == 0 or wanted.kind == "b":
             continue
         values = array[~np.isnan(array)] if wanted.undefined else array
-        if not np.isfinite(values).all():
-            raise ValueError(f"array {name} holds values that are not finite")
+        if not np.isfinite(values).all() or (wanted.kind == "f" and (abs(values) > HUGE).any()):
+            raise ValueError(f"array {name} holds values that are not finite, or past all use")
         least = 0 if wanted.into is not None and wanted.least is None else wanted.least
         most = wanted.most if wanted.into is None else sizes[wanted.into] - 1
         low, high = (values.min(), values.max()) if values.size else (0, 0)

@@ -125,7 +125,7 @@ def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dic
         attributes = {}
         for name in file.attrs:
             kind = file.attrs.get_id(name)
-            if kind.get_storage_size() > 4096:
-                raise ValueError(f"attribute {name} is too large")
+            if kind.shape != () or kind.get_storage_size() > 4096:
+                raise ValueError(f"attribute {name} is not one of ours")
             attributes[name] = file.attrs[name]
         return {name: item[()] for name, item in found.items()}, attributes
