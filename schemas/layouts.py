@@ -91,7 +91,7 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
     },
     "sphere-train": {
         "spheres/center": Layout(("Vt", 3), "f", "c_v"),
-        "spheres/radius": Layout(("Vt",), "f", "r_v", least=0.0),
+        "spheres/radius": Layout(("Vt",), "f", "r_v", least=TINY),
         **_polygons("trained/", "t", "polygons over the sphere centres"),
         "trained/offset": Layout(("Ft",), "f", "delta_f"),
         "generators/inside": Layout(("Ft", 3), "f", "inside generator of each trained face"),

@@ -42,7 +42,8 @@ def trial(bench: Bench, stem: str, name: str, dice: random.Random) -> str:
     limit = bench.limit(words)
     before = raw(place)
     done = run(bench.runs.server, words, place, timeout=limit)
-    lenient = name.endswith(" huge")
+    # Nothing says how long a history is, and only pages read it.
+    lenient = name.endswith(" huge") or name.startswith("history ")
     end = judged(done, limit, words, path, place, before, lambda: bench.expected(words), lenient)
     if end == "same result" and words[0] != "fabricate" and not lenient:
         # The reader had no need of that array, or took it for what it is not.
