@@ -14,7 +14,7 @@ from test_sources import write_obj
 from vorolight.stages.sources.contouring import contoured
 from vorolight.stages.sources.creases import of_triangles
 from vorolight.stages.sources.resolve import identify
-from vorolight.stages.surface.creases import CORNER, CREASE, Creases, deviation, embed
+from vorolight.stages.surface.creases import CORNER, CREASE, Chain, Creases, deviation, embed
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.operations import contract_short, delaunay_gain, flip, split_long
@@ -56,6 +56,14 @@ def test_closest_points_of_creases() -> None:
     exact = np.array([[2.0, 2.5, 2.5], [2.5, 2.5, 2.5], [0.0, 2.5, 2.5]])
     assert np.allclose(foot @ turn, exact, atol=1e-9)
     assert np.allclose(np.abs(tangent[[0, 2]] @ turn), [[1, 0, 0], [1, 0, 0]], atol=1e-9)
+
+
+def test_closest_points_of_a_short_crease() -> None:
+    for end in (0.05, 0.15):  # stood for by one point, by two
+        short = Creases([Chain(np.array([[0.0, 0.0, 0.0], [end, 0.0, 0.0]]), False)])
+        foot, tangent = short.closest(np.array([[1.0, 1.0, 0.0], [0.01, 1.0, 0.0]]))
+        assert np.allclose(foot, [[end, 0, 0], [0.01, 0, 0]])
+        assert np.allclose(tangent, [[1, 0, 0], [1, 0, 0]])
 
 
 def test_dual_contouring_keeps_edges_and_corners() -> None:

@@ -54,7 +54,7 @@ class Creases:
 
     def closest(self, at: Floats) -> tuple[Floats, Floats]:
         """The closest points ``(N, 3)`` on the creases and the unit tangents there."""
-        _, found = self.tree.query(at, 4)
+        _, found = self.tree.query(at, [k + 1 for k in range(min(4, len(self.owner)))])
         best, foot, way = np.full(len(at), np.inf), np.zeros_like(at), np.zeros_like(at)
         for column in range(found.shape[1]):
             segment = self.owner[found[:, column]]
