@@ -42,7 +42,7 @@ LARGEST_STEP = 0.12
 def _on_creases(creases: Creases, spheres: Spheres) -> Rows:
     """Vertices on creases, and two planes through each one's crease; three at a corner."""
     at = np.flatnonzero(spheres.rank > 0)
-    foot, tangent = creases.closest(spheres.centres[at])
+    foot, tangent = creases.closest(spheres.centres[at], spheres.as_mesh().chains()[at])
     axis = np.eye(3)[np.abs(tangent).argmin(axis=1)]
     across = np.cross(tangent, axis)
     across /= np.linalg.norm(across, axis=1, keepdims=True)

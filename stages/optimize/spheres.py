@@ -36,7 +36,7 @@ class Spheres:
     rank: Ints
     """0 for a vertex that is free, 1 on a crease, 2 at a corner."""
     creases: Ints
-    """The edges on creases, by their ends ``(K, 2)``."""
+    """The edges on creases: their ends and the number of their chain, ``(K, 3)``."""
 
     @classmethod
     def at(cls, mesh: Sized) -> Spheres:

@@ -21,6 +21,8 @@ PARTS = 64
 """Points of an edge at which its distance from a crease is taken."""
 DENSE = 0.1
 """Distance between the points that stand for a crease, in units of h0."""
+APART = 1e5
+"""What takes chains apart in the fourth dimension, in units of h0; more than any shape's size."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,24 @@ class Creases:
         self.owner = np.repeat(np.arange(len(ways)), count)
         first = np.repeat(np.cumsum(count) - count, count)
         part = (np.arange(len(self.owner)) - first + 0.5) / count[self.owner]
-        self.tree: Any = cKDTree(starts[self.owner] + part[:, None] * ways[self.owner])
+        self.dense = starts[self.owner] + part[:, None] * ways[self.owner]
+        self.chain = np.repeat(
+            np.arange(len(chains)), [len(chain.points) - 1 for chain in chains]
+        )[self.owner]  # fmt: skip
+        """The chain of each of the ``dense`` points."""
+        self.tree: Any = cKDTree(self.dense)
+        self.trees: Any = cKDTree(np.column_stack([self.dense, APART * self.chain]))
 
-    def closest(self, at: Floats) -> tuple[Floats, Floats]:
-        """The closest points ``(N, 3)`` on the creases and the unit tangents there."""
-        _, found = self.tree.query(at, [k + 1 for k in range(min(4, len(self.owner)))])
+    def closest(self, at: Floats, chain: Ints | None = None) -> tuple[Floats, Floats]:
+        """The closest points ``(N, 3)`` on the creases, or on the given ``chain (N,)`` each, and
+        the unit tangents there."""
+        near = [k + 1 for k in range(min(4, len(self.owner)))]
+        if chain is None:
+            _, found = self.tree.query(at, near)
+        else:
+            _, found = self.trees.query(np.column_stack([at, APART * chain]), near)
+            # Of a chain of few points the nearest one stands for the rest.
+            found = np.where(self.chain[found] == chain[:, None], found, found[:, :1])
         best, foot, way = np.full(len(at), np.inf), np.zeros_like(at), np.zeros_like(at)
         for column in range(found.shape[1]):
             segment = self.owner[found[:, column]]
@@ -78,7 +93,36 @@ def drawn_on(mesh: Sized, creases: Creases) -> None:
     """Move the vertices of a crease onto it; corners stay."""
     row = np.flatnonzero(mesh.rank == CREASE)
     mesh.vertices = mesh.vertices.copy()
-    mesh.vertices[row] = creases.closest(mesh.vertices[row])[0]
+    mesh.vertices[row] = creases.closest(mesh.vertices[row], mesh.chains()[row])[0]
+
+
+def cut_ears(mesh: Sized) -> int:
+    """Lead creases that go around a triangle along its third edge: on a crease that is straight
+    there such a triangle has no area. Returns their number."""
+    done = 0
+    while len(mesh.creases):
+        corners = mesh.triangles
+        on = np.stack([mesh.on_crease(corners[:, [k, (k + 1) % 3]]) for k in range(3)], axis=1)
+        row = np.flatnonzero(on.sum(axis=1) == 2)
+        # The tip is opposite the edge that is on no crease.
+        off = (~on[row]).argmax(axis=1)
+        tip = corners[row, (off + 2) % 3]
+        row, off, tip = (values[mesh.rank[tip] == CREASE] for values in (row, off, tip))
+        # Of ears beside each other one at a time.
+        first = np.full(len(mesh.vertices), len(row))
+        np.minimum.at(first, corners[row].reshape(-1), np.repeat(np.arange(len(row)), 3))
+        alone = (first[corners[row]] == np.arange(len(row))[:, None]).all(axis=1)
+        row, off, tip = row[alone], off[alone], tip[alone]
+        if len(row) == 0:
+            break
+        number = mesh.chains()[tip]
+        kept = mesh.creases[~np.isin(mesh.creases[:, :2], tip).any(axis=1)]
+        ends = corners[row, off], corners[row, (off + 1) % 3]
+        mesh.creases = np.concatenate([kept, np.stack([*ends, number], axis=1)])
+        mesh.rank = mesh.rank.copy()
+        mesh.rank[tip] = FREE
+        done += len(row)
+    return done
 
 
 def embed(mesh: Sized, creases: Creases) -> int:
@@ -103,7 +147,8 @@ def embed(mesh: Sized, creases: Creases) -> int:
     lengths = table.lengths(mesh.vertices)
     target = mesh.edge_target(table.ends)
     middle = mesh.vertices[table.ends].mean(axis=1)
-    for chain in sorted(creases.chains, key=lambda chain: chain.length):
+    for number in np.argsort([chain.length for chain in creases.chains], kind="stable"):
+        chain = creases.chains[number]
         own = Creases([chain])
         far = np.stack(
             [np.linalg.norm(at - own.closest(at)[0], axis=1) for at in
@@ -126,9 +171,9 @@ def embed(mesh: Sized, creases: Creases) -> int:
             missed += 1
             continue
         rank[way] = np.maximum(rank[way], CREASE)
-        found += list(pairwise(way))
+        found += [(start, end, number) for start, end in pairwise(way)]
     mesh.rank = rank
-    mesh.creases = np.array(found, dtype=np.int64).reshape(-1, 2)
+    mesh.creases = np.array(found, dtype=np.int64).reshape(-1, 3)
     mesh.vertices = place
     drawn_on(mesh, creases)
     return missed
@@ -158,7 +203,7 @@ def _way(ends: Ints, cost: Floats, stops: list[int], rank: Ints) -> list[int]:
 
 
 def deviation(creases: Creases, vertices: Floats, rank: Ints, edges: Ints) -> dict[str, float]:
-    """How far vertices and ``edges (K, 2)`` on creases are from these, in units of h0, and the
+    """How far vertices and ``edges (K, 3)`` on creases are from these, in units of h0, and the
     creases from the edges."""
     from scipy.spatial import cKDTree
 
@@ -169,7 +214,7 @@ def deviation(creases: Creases, vertices: Floats, rank: Ints, edges: Ints) -> di
     parts = np.linspace(0, 1, PARTS)[:, None, None]
     along = ((1 - parts) * vertices[edges[:, 0]] + parts * vertices[edges[:, 1]]).reshape(-1, 3)
     edge_off = np.linalg.norm(along - creases.closest(along)[0], axis=1)
-    away = cKDTree(along).query(creases.tree.data)[0]
+    away = cKDTree(along).query(creases.dense)[0]
     return {
         "vertices": len(on),
         "vertex_distance_max": float(off.max()),

@@ -67,8 +67,8 @@ class Sized:
 
     rank: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     """0 for a vertex that is free, 1 on a crease, 2 at a corner, ``(V,)``."""
-    creases: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    """The edges that lie on creases, by their ends ``(K, 2)``."""
+    creases: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    """The edges that lie on creases: their ends and the number of their chain, ``(K, 3)``."""
 
     def __post_init__(self) -> None:
         if len(self.rank) != len(self.vertices):
@@ -79,7 +79,14 @@ class Sized:
     def on_crease(self, ends: Ints) -> NDArray[np.bool_]:
         """Which edges ``(E, 2)`` lie on creases."""
         span = np.array([len(self.vertices), 1])
-        return np.isin(np.sort(ends, axis=1) @ span, np.sort(self.creases, axis=1) @ span)
+        return np.isin(np.sort(ends, axis=1) @ span, np.sort(self.creases[:, :2], axis=1) @ span)
+
+    def chains(self) -> Ints:
+        """The chain ``(V,)`` that a vertex on a crease belongs to; one of several at a corner, -1
+        for others."""
+        number = np.full(len(self.vertices), -1)
+        number[self.creases[:, :2]] = self.creases[:, 2:]
+        return number
 
     def edge_target(self, ends: Ints) -> Floats:
         return np.asarray(self.length[ends].mean(axis=1))

@@ -46,9 +46,16 @@ def split_long(mesh: Sized, factor: float = LONGEST) -> int:
         c, d = table.opposite[chosen].T
         new = len(mesh.vertices) + np.arange(len(chosen))
         split = mesh.on_crease(table.ends[chosen])
-        kept = mesh.creases[~_among(mesh.creases, table.ends[chosen], len(mesh.vertices))]
-        halves = [np.stack([end[split], new[split]], 1) for end in (a, b)]
-        mesh.creases = np.concatenate([kept, *halves])
+        cut = np.sort(table.ends[chosen[split]], axis=1)
+        span = np.array([len(mesh.vertices), 1])
+        whole = np.sort(mesh.creases[:, :2], axis=1) @ span
+        # Each edge that is cut, among the edges on creases.
+        order = np.argsort(whole, kind="stable")
+        row = order[np.searchsorted(whole[order], cut @ span)]
+        halves = [
+            np.stack([end[split], new[split], mesh.creases[row, 2]], axis=1) for end in (a, b)
+        ]
+        mesh.creases = np.concatenate([np.delete(mesh.creases, row, axis=0), *halves])
         mesh.rank = np.concatenate([mesh.rank, split.astype(np.int64)])
         left, right = table.triangles[chosen].T
         triangles = mesh.triangles.copy()
@@ -112,7 +119,7 @@ def contract_short(
         mesh.carried[a] = np.minimum(mesh.carried[a], mesh.carried[b])
         target = np.arange(count)
         target[b] = a
-        mesh.creases = target[mesh.creases]
+        mesh.creases = np.column_stack([target[mesh.creases[:, :2]], mesh.creases[:, 2]])
         mesh.creases = mesh.creases[mesh.creases[:, 0] != mesh.creases[:, 1]]
         triangles = target[mesh.triangles]
         gone = (triangles == triangles[:, [1, 2, 0]]).any(axis=1)
@@ -121,7 +128,8 @@ def contract_short(
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.triangles] = True
     number = np.cumsum(used) - 1
-    mesh.triangles, mesh.creases = number[mesh.triangles], number[mesh.creases]
+    mesh.triangles = number[mesh.triangles]
+    mesh.creases = np.column_stack([number[mesh.creases[:, :2]], mesh.creases[:, 2]])
     mesh.rank = mesh.rank[used]
     mesh.vertices, mesh.length, mesh.carried = (
         values[used] for values in (mesh.vertices, mesh.length, mesh.carried)
@@ -204,12 +212,6 @@ def fold_cosines(mesh: Sized, table: EdgeTable) -> tuple[Floats, Floats]:
         for pair in (((a, b, c), (b, a, d)), ((a, d, c), (b, c, d)))
     )
     return np.einsum("ij,ij->i", *before), np.einsum("ij,ij->i", *after)
-
-
-def _among(pairs: Ints, others: Ints, count: int) -> NDArray[np.bool_]:
-    """Which unordered ``pairs (K, 2)`` of vertices are among ``others``."""
-    span = np.array([count, 1])
-    return np.isin(np.sort(pairs, axis=1) @ span, np.sort(others, axis=1) @ span)
 
 
 def _keeps_creases(mesh: Sized, table: EdgeTable) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optimize.fitting import fit
-from .creases import CORNER, CREASE, FREE, Creases, drawn_on, embed
+from .creases import CORNER, CREASE, FREE, Creases, cut_ears, drawn_on, embed
 from .edge_table import EdgeTable, Sized
 from .geometry import triangle_normals, vertex_normals
 from .operations import (
@@ -66,6 +66,7 @@ def remesh(
     for iteration in range(iterations):
         if creases is not None and iteration == EMBEDDED:
             missed = embed(mesh, creases)
+        cut_ears(mesh)
         split_long(mesh)
         contract_short(mesh)
         flip(mesh, valence)
@@ -76,6 +77,7 @@ def remesh(
         if creases is not None:
             drawn_on(mesh, creases)
         mesh.length = length(mesh.vertices)
+    cut_ears(mesh)
     contract_short(mesh)
     flip(mesh, smooth_only(delaunay_gain))
     flip(mesh, nearer, 2)
@@ -105,7 +107,7 @@ def relax(mesh: Sized, step: float) -> None:
     on = np.flatnonzero(mesh.rank == CREASE)
     if len(on):
         # Along a crease, to the middle of the two neighbours on it.
-        both = np.concatenate([mesh.creases, mesh.creases[:, ::-1]])
+        both = np.concatenate([mesh.creases[:, :2], mesh.creases[:, 1::-1]])
         for k in range(3):
             total = np.bincount(both[:, 0], mesh.vertices[both[:, 1], k], minlength=count)
             move[on, k] = 0.5 * total[on] - mesh.vertices[on, k]
