@@ -48,7 +48,7 @@ def run(context: Context) -> Outcome:
 
     from .artifacts.manifest import foreign
     from .export import ply
-    from .metrics import chamfer, curvature, gates
+    from .metrics import chamfer, creases, curvature, gates
     from .metrics.fidelity import fidelity
     from .metrics.protocols import PROTOCOLS
     from .sources.fields import FieldSource
@@ -107,8 +107,11 @@ def run(context: Context) -> Outcome:
     radius = curvature.REACH * edge
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, threads)
     bent = curvature.statistics(vertices, triangles, radius, measured, valid)
+    ridges = creases.of_reference(source, frame)
+    off = None if ridges is None else ridges.distance
+    smooth = curvature.off_creases(vertices, triangles, radius, measured, valid, off)
     context.progress.advance(2)
-    even = curvature.resampled(vertices, triangles, edge, threads)
+    even, even_smooth = curvature.resampled(vertices, triangles, edge, off, threads)
     if even is None:
         warnings.append(
             f"|H| of the surface divided to the reference's edges ({edge:.3g}) was not measured: "
@@ -136,7 +139,12 @@ def run(context: Context) -> Outcome:
         else curvature.dihedral_mean_curvature(
             PolygonMesh.of_triangles(source.vertices, source.triangles)
         ),
-        "reference_curvature": _reference_curvature(source, reference, radius, threads),
+        "curvature_off_creases": None if smooth is None else vars(smooth),
+        "resampled_curvature_off_creases": None if even_smooth is None else vars(even_smooth),
+        **curvature.of_reference(source, reference, radius, off, threads),
+        "creases": None
+        if ridges is None
+        else vars(creases.agreement(ridges, mesh, float(np.max(high - low)), frame.spacing)),
         "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
         "mask_overlap": _mask_overlap(context, vertices, triangles),
         "gates": gates.gates(mesh, defects, expected),
@@ -242,26 +250,6 @@ def _surface(context: Context) -> PolygonMesh:
     return mesh
 
 
-def _reference_curvature(source: Any, samples: Any, radius: float, threads: int) -> Any:
-    """|H| of the reference itself: what a smooth surface should reach."""
-    import numpy as np
-
-    from .metrics import curvature
-    from .sources.fields import FieldSource
-
-    if isinstance(source, FieldSource):
-        size = np.abs(source.mean_curvature(samples))
-        return {
-            "mean": float(size.mean()),
-            "median": float(np.median(size)),
-            "p95": float(np.percentile(size, 95)),
-            "method": "analytic",
-        }
-    bend, valid = curvature.mean_curvature(source.vertices, source.triangles, radius, threads)
-    found = curvature.statistics(source.vertices, source.triangles, radius, bend, valid)
-    return None if found is None else vars(found) | {"method": "quadric fit"}
-
-
 def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[str, Any]:
     """The trained polygons' own figures, and conformity recomputed from the files."""
     import numpy as np
@@ -354,7 +342,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="evaluate",
-    version=4,
+    version=5,
     params=Params,
     run=run,
     parents=_parents,

@@ -94,14 +94,14 @@ def test_resampled_curvature_does_not_depend_on_the_mesh() -> None:
     vertices, triangles = sphere_mesh(1.0, 3)
     assert not curvature.mean_curvature(vertices, triangles, 0.1)[1].any()
     for level in (3, 4):
-        found = curvature.resampled(*sphere_mesh(1.0, level), 0.05)
+        found, _ = curvature.resampled(*sphere_mesh(1.0, level), 0.05)
         assert found is not None
         assert found.valid_share == 1
     # With a radius of four edges the facets average out, but for two hundredths.
-    smooth = curvature.resampled(*sphere_mesh(1.0, 4), 0.15)
+    smooth, _ = curvature.resampled(*sphere_mesh(1.0, 4), 0.15)
     assert smooth is not None
     assert smooth.mean == pytest.approx(1, abs=0.03)
-    assert curvature.resampled(vertices, triangles, 1e-4) is None
+    assert curvature.resampled(vertices, triangles, 1e-4) == (None, None)
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)

@@ -95,6 +95,22 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
     even = metrics["resampled_curvature"] or {}
     for key, name in (("mean", "mean"), ("p95", "P95")):
         rows.append((f"{name} |H|, evenly resampled", _number(even.get(key)), ""))
+    if metrics["creases"] is not None:
+        edges, smooth, even, truth = (
+            metrics[key] or {}
+            for key in ("creases", "curvature_off_creases", "resampled_curvature_off_creases",
+                        "reference_curvature_off_creases")
+        )  # fmt: skip
+        aim = "" if not truth else _number(truth["mean"])
+        rows += [
+            ("mean |H|, away from creases", _number(smooth.get("mean")), aim),
+            ("mean |H|, also evenly resampled", _number(even.get("mean")), aim),
+            (f"edge F1@{edges['tolerance']:g}", _number(edges["edge_f1"]), "1"),
+            ("edge precision, recall",
+             f"{_number(edges['edge_precision'])}, {_number(edges['edge_recall'])}", "1, 1"),
+            ("creases to sharp edges, median, h0", _number(edges["distance_median"]), "0"),
+            ("creases to sharp edges, P99, h0", _number(edges["distance_p99"]), "0"),
+        ]  # fmt: skip
     if metrics["sdf_loss"] is not None:
         rows.append(("mean |F|", _number(metrics["sdf_loss"]), "0"))
     if metrics["mask_overlap"] is not None:

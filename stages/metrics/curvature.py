@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
+from ..sources.fields import FieldSource
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.subdivision import subdivided
 from ..surface.topology import edge_keys
+
+Distance = Callable[[Floats], Floats]
+"""From points ``(N, 3)`` their distances ``(N,)``."""
 
 REACH = 2.0
 """The paper's rho: the radius of a fit in units of the reference's median edge length."""
@@ -158,19 +164,78 @@ def statistics(
     )
 
 
-def resampled(
-    vertices: Floats, triangles: Ints, edge: float, threads: int = 1
+def off_creases(
+    vertices: Floats,
+    triangles: Ints,
+    radius: float,
+    curvature: Floats,
+    valid: NDArray[np.bool_],
+    distance: Distance | None,
 ) -> CurvatureStatistics | None:
+    """The same over the vertices so far from every crease that no fit reaches across one.
+
+    ``distance`` gives that of points ``(N, 3)`` from the creases of the reference; None without it.
+    """
+    if distance is None:
+        return None
+    clear = valid & (distance(vertices) > radius)
+    return statistics(vertices, triangles, radius, curvature, clear)
+
+
+def resampled(
+    vertices: Floats,
+    triangles: Ints,
+    edge: float,
+    distance: Distance | None = None,
+    threads: int = 1,
+) -> tuple[CurvatureStatistics | None, CurvatureStatistics | None]:
     """|H| of the surface divided until no edge is longer than ``edge``, so that every vertex has
     neighbours within REACH edges: the figure of the paper depends on how dense a mesh is.
 
-    None when that takes more than MOST_VERTICES, or without a valid fit.
+    Of all of it, and ``off_creases``. None when that takes more than MOST_VERTICES, or without a
+    valid fit.
     """
     fine = subdivided(vertices, triangles, edge, MOST_VERTICES)
     if fine is None:
-        return None
+        return None, None
     radius = REACH * edge
-    return statistics(*fine, radius, *mean_curvature(*fine, radius, threads))
+    fits = mean_curvature(*fine, radius, threads)
+    return statistics(*fine, radius, *fits), off_creases(*fine, radius, *fits, distance)
+
+
+def of_reference(
+    source: Any, samples: Floats, radius: float, distance: Distance | None, threads: int = 1
+) -> dict[str, dict[str, Any] | None]:
+    """|H| of the reference itself, what a smooth surface should reach: of fields what is exact at
+    the ``samples (N, 3)``, of others by fits. Of all of it, and ``off_creases``, by their names
+    in the manifest."""
+    names = ("reference_curvature", "reference_curvature_off_creases")
+    if isinstance(source, FieldSource):
+        size = np.abs(source.mean_curvature(samples))
+        clear = np.empty(0) if distance is None else size[distance(samples) > radius]
+        return dict(zip(names, (_exact(size), _exact(clear)), strict=True))
+    mesh = source.vertices, source.triangles
+    fits = mean_curvature(*mesh, radius, threads)
+    found = (
+        statistics(*mesh, radius, *fits),
+        off_creases(*mesh, radius, *fits, distance),
+    )
+    return {
+        name: None if one is None else vars(one) | {"method": "quadric fit"}
+        for name, one in zip(names, found, strict=True)
+    }
+
+
+def _exact(size: Floats) -> dict[str, Any] | None:
+    """What there is to say of exact values of |H| at samples ``(N,)``."""
+    if len(size) == 0:
+        return None
+    return {
+        "mean": float(size.mean()),
+        "median": float(np.median(size)),
+        "p95": float(np.percentile(size, 95)),
+        "method": "analytic",
+    }
 
 
 def settings(edge: float, of_mesh: bool) -> dict[str, float | str]:

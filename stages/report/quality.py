@@ -18,10 +18,19 @@ FIGURES = (
     ("chamfer.precision", "precision", 1.0, 1),
     ("chamfer.recall", "recall", 1.0, 1),
     ("fidelity.normal_consistency", "normal consistency", 1.0, 1),
+    ("creases.edge_f1", "edge F1, sharp edges and creases", 1.0, 1),
+    ("creases.edge_precision", "edge precision", 1.0, 1),
+    ("creases.edge_recall", "edge recall", 1.0, 1),
+    ("creases.distance_median", "from creases to sharp edges, median, h0", 0.0, 1),
+    ("creases.distance_p99", "from creases to sharp edges, 99th percentile, h0", 0.0, 1),
     ("curvature.mean", "mean |H|", "reference_curvature.mean", 1),
     ("curvature.median", "median |H|", "reference_curvature.median", 1),
     ("curvature.p95", "95th percentile of |H|", "reference_curvature.p95", 1),
     ("resampled_curvature.mean", "mean |H|, evenly resampled", "reference_curvature.mean", 1),
+    ("curvature_off_creases.mean", "mean |H| away from creases",
+     "reference_curvature_off_creases.mean", 1),
+    ("resampled_curvature_off_creases.mean", "mean |H| away from creases, evenly resampled",
+     "reference_curvature_off_creases.mean", 1),
     ("dihedral_mean_curvature", "mean curvature by dihedral angles", "reference_dihedral", 1),
     ("sdf_loss", "mean |F|", 0.0, 1),
     ("mask_overlap.mean", "overlap with masks, mean", 1.0, 1),
@@ -31,7 +40,7 @@ FIGURES = (
     ("topology.components", "components", "expected_topology.components", 1),
     ("topology.bad_edges", "edges not in two faces", 0, 1),
     ("topology.pinched_vertices", "pinched vertices", 0, 1),
-)
+)  # fmt: skip
 """Key in an evaluation, its name, its ideal (a number, or the key of the reference's own), and the
 factor it is shown with."""
 CONDITIONS = {

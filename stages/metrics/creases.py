@@ -1,0 +1,178 @@
+"""How well a surface's sharp edges and its reference's creases agree.
+
+After the edge F1 of Chen and Zhang, *Neural Marching Cubes* (2021), which compares samples of
+surfaces near which normals differ; here the points lie on the edges themselves and their distances
+are to edges, so that no sampling limits them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..sources.creases import found
+from ..surface.geometry import face_frames
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.topology import edge_keys
+
+if TYPE_CHECKING:
+    from ..sources.protocol import Source
+    from ..surface.model_frame import ModelFrame
+
+CREASE = 40.0
+"""Degrees by which a reference turns at a crease; the training's own measure."""
+SHARP = 30.0
+"""Degrees by which a surface turns at a sharp edge. Less than CREASE: a crease that turns by just
+that is flattened a little by triangles that are not quite on both its sides. Where a crease fades
+out, what turns by 30 to 40 degrees thus counts against the precision."""
+TOLERANCE = 0.005
+"""How far apart edges may be, with the longest side of the reference's box as 1."""
+STEP = 0.2
+"""Distance of the points on edges, in tolerances."""
+MOST_POINTS = 1_000_000
+"""On all edges of a surface: of a rough one nearly every edge is sharp."""
+
+
+@dataclass(frozen=True)
+class CreaseAgreement:
+    """Of a surface's sharp edges and its reference's creases.
+
+    Shares are of length. Distances are in units of h0, the voxel edge of the run that the surface
+    is evaluated in; None where the surface has no sharp edge.
+    """
+
+    edge_f1: float
+    """Harmonic mean of the two below; 0 without sharp edges."""
+    edge_recall: float
+    """Share of the creases within the tolerance of a sharp edge."""
+    edge_precision: float
+    """Share of the sharp edges within the tolerance of a crease."""
+    distance_median: float | None
+    """From points on the creases to the closest sharp edge."""
+    distance_p99: float | None
+    crease_length: float
+    """Of all creases, with the longest side of the reference's box as 1."""
+    sharp_length: float
+    """Of all sharp edges, likewise."""
+    tolerance: float
+    """With the longest side of the reference's box as 1."""
+    crease_angle: float
+    """Degrees from which the reference's edges are creases."""
+    sharp_angle: float
+    """Degrees from which the surface's edges are sharp."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Straight pieces between ``vertices (V, 3)`` with the indices ``ends (S, 2)``."""
+
+    vertices: Floats
+    ends: Ints
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """Of each piece, ``(S,)``."""
+        start, end = self.vertices[self.ends[:, 0]], self.vertices[self.ends[:, 1]]
+        return np.asarray(np.linalg.norm(end - start, axis=1))
+
+    @property
+    def length(self) -> float:
+        return float(self.lengths.sum())
+
+    @cached_property
+    def tree(self) -> Any:
+        import igl
+
+        tree = igl.AABB()
+        tree.init(self.vertices, self.ends)
+        return tree
+
+    def points(self, step: float) -> Floats:
+        """Points ``(N, 3)`` spread evenly along all pieces, ``step`` apart or a little less; never
+        more than MOST_POINTS."""
+        total = self.length
+        count = int(np.clip(np.ceil(total / step), 1, MOST_POINTS))
+        along = (np.arange(count) + 0.5) * (total / count)
+        until = np.cumsum(self.lengths)
+        piece = np.minimum(np.searchsorted(until, along, side="right"), len(until) - 1)
+        length = np.maximum(self.lengths[piece], np.finfo(float).tiny)
+        share = np.clip(1 - (until[piece] - along) / length, 0, 1)[:, None]
+        start, end = self.vertices[self.ends[piece, 0]], self.vertices[self.ends[piece, 1]]
+        return np.asarray((1 - share) * start + share * end)
+
+    def distance(self, points: Floats) -> Floats:
+        """Distances ``(N,)`` of ``points (N, 3)`` from the closest piece."""
+        square, _, _ = self.tree.squared_distance(
+            self.vertices, self.ends, np.ascontiguousarray(points)
+        )
+        return np.sqrt(np.asarray(square, dtype=np.float64))
+
+
+def of_reference(source: Source, frame: ModelFrame) -> Segments | None:
+    """The creases of a mesh or field in its own units; None if it has none, or is neither."""
+    chains = found(source, frame, CREASE)
+    if not chains:
+        return None
+    counts = np.array([len(chain.points) for chain in chains])
+    first = np.ones(counts.sum(), dtype=bool)
+    first[np.cumsum(counts) - 1] = False
+    start = np.flatnonzero(first)
+    points = np.concatenate([chain.points for chain in chains])
+    return Segments(
+        np.ascontiguousarray(frame.input_from_model(points)), np.stack([start, start + 1], axis=1)
+    )
+
+
+def sharp_edges(mesh: PolygonMesh, angle: float = SHARP) -> Segments | None:
+    """The edges between two faces of a surface whose normals are ``angle`` degrees apart or more;
+    None if there is none. Edges of one face, or of more than two, are not sharp but broken."""
+    _, normal, _ = face_frames(mesh)
+    keys, forward = edge_keys(mesh)
+    order = np.argsort(keys, kind="stable")
+    _, first, uses = np.unique(keys[order], return_index=True, return_counts=True)
+    first = first[uses == 2]
+    one, other = order[first], order[first + 1]
+    n1, n2 = normal[mesh.corner_faces[one]], normal[mesh.corner_faces[other]]
+    sine = np.linalg.norm(np.cross(n1, n2), axis=1)
+    turn = np.arctan2(sine, np.einsum("ij,ij->i", n1, n2))
+    sharp = one[(turn >= np.radians(angle)) & (forward[one] != forward[other])]
+    ends = np.stack([mesh.face_vertices[sharp], mesh.next_vertices[sharp]], axis=1)
+    edges = Segments(np.ascontiguousarray(mesh.vertices), ends)
+    return edges if edges.length > 0 else None
+
+
+def agreement(
+    creases: Segments, mesh: PolygonMesh, longest: float, spacing: float
+) -> CreaseAgreement:
+    """Compare the sharp edges of ``mesh`` with the ``creases`` of its reference.
+
+    All are in one frame, in which the longest side of the reference's box is ``longest`` and h0 is
+    ``spacing``.
+    """
+    tolerance = TOLERANCE * longest
+    edges = sharp_edges(mesh)
+    recall = precision = 0.0
+    median = p99 = None
+    if edges is not None:
+        away = edges.distance(creases.points(STEP * tolerance))
+        recall = float((away <= tolerance).mean())
+        astray = creases.distance(edges.points(STEP * tolerance))
+        precision = float((astray <= tolerance).mean())
+        median = float(np.median(away)) / spacing
+        p99 = float(np.percentile(away, 99)) / spacing
+    both = recall + precision
+    return CreaseAgreement(
+        edge_f1=2 * recall * precision / both if both > 0 else 0.0,
+        edge_recall=recall,
+        edge_precision=precision,
+        distance_median=median,
+        distance_p99=p99,
+        crease_length=creases.length / longest,
+        sharp_length=0.0 if edges is None else edges.length / longest,
+        tolerance=TOLERANCE,
+        crease_angle=CREASE,
+        sharp_angle=SHARP,
+    )
