@@ -82,7 +82,10 @@ def run(context: Context) -> Outcome:
         true_area = area
     name = params.reference or source.name
     warnings = _comparable(name, source, mesh.vertices[mesh.face_vertices], np.stack([low, high]))
-    diagonal = float(np.linalg.norm(high - low))
+    diagonal, longest = float(np.linalg.norm(high - low)), float(np.max(high - low))
+    whole = None
+    if isinstance(source, MeshSource):
+        whole = PolygonMesh.of_triangles(source.vertices, source.triangles)
     distances = chamfer.chamfer(
         predicted / diagonal,
         reference / diagonal,
@@ -134,17 +137,16 @@ def run(context: Context) -> Outcome:
         "curvature": None if bent is None else vars(bent),
         "resampled_curvature": None if even is None else vars(even),
         "dihedral_mean_curvature": curvature.dihedral_mean_curvature(mesh),
-        "reference_dihedral": None
-        if not isinstance(source, MeshSource)
-        else curvature.dihedral_mean_curvature(
-            PolygonMesh.of_triangles(source.vertices, source.triangles)
-        ),
+        "reference_dihedral": None if whole is None else curvature.dihedral_mean_curvature(whole),
         "curvature_off_creases": None if smooth is None else vars(smooth),
         "resampled_curvature_off_creases": None if even_smooth is None else vars(even_smooth),
         **curvature.of_reference(source, reference, radius, off, threads),
         "creases": None
         if ridges is None
-        else vars(creases.agreement(ridges, mesh, float(np.max(high - low)), frame.spacing)),
+        else vars(creases.agreement(ridges, mesh, longest, frame.spacing)),
+        "reference_creases": None
+        if ridges is None or whole is None
+        else vars(creases.agreement(ridges, whole, longest, frame.spacing)),
         "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
         "mask_overlap": _mask_overlap(context, vertices, triangles),
         "gates": gates.gates(mesh, defects, expected),

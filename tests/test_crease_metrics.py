@@ -160,6 +160,8 @@ def test_references_without_creases_have_none(tmp_path: Path, cli: Cli) -> None:
     assert done.returncode == 5
     assert "creases.edge_f1 is 0, >= 0.9 is required" in done.stderr
     assert "edge F1@0.005" in done.stdout
+    found = figures(tmp_path / "ball.vorolight", "evaluate-file-ball")
+    assert found["reference_creases"]["edge_f1"] == 1
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +169,7 @@ def cavity_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
     """A cube of edge 1 with a ball of radius 0.4 taken out; its walls are thicker than the radius
     of the fits, a voxel."""
     folder = tmp_path_factory.mktemp("cavity")
-    words = ("-n", 12, "--init-iterations", 10, "--until", "sphere-train", "-q")
+    words = ("-n", 11, "--init-iterations", 10, "--until", "sphere-train", "-q")
     done = cli("run", "cube-cavity", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     done = cli("evaluate", "--samples", 5000, cwd=folder)

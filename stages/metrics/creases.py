@@ -27,7 +27,8 @@ CREASE = 40.0
 SHARP = 30.0
 """Degrees by which a surface turns at a sharp edge. Less than CREASE: a crease that turns by just
 that is flattened a little by triangles that are not quite on both its sides. Where a crease fades
-out, what turns by 30 to 40 degrees thus counts against the precision."""
+out, what turns by 30 to 40 degrees thus counts against the precision, that of the reference's own
+edges too."""
 TOLERANCE = 0.005
 """How far apart edges may be, with the longest side of the reference's box as 1."""
 STEP = 0.2

@@ -29,6 +29,7 @@ WORDS = {
     "pair_area_share": "share of the area between generator pairs",
     "pair_faces": "trained faces whose pair meets in the diagram",
     "reference_dihedral": "the reference's mean curvature by dihedral angles",
+    "reference_creases": "the reference's own sharp edges",
     "reference_curvature_off_creases": "the reference's |H| away from creases",
     "resampled_curvature_off_creases": "|H| away from creases, evenly resampled",
     "residual_max": "sphere residual, largest, h²",
