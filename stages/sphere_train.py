@@ -7,141 +7,19 @@ Example:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from . import contract, torch_start
-from .contract import Context, Outcome, Positive, Range, Stage
-from .errors import UsageError
+from . import torch_start
+from .contract import Context, Outcome, Stage
 from .memory import peak
+from .sphere_params import DEFAULTS, Params
 
 if TYPE_CHECKING:
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats, PolygonMesh
 
-CREASE_ANGLE = 40.0
-"""Degrees from which on edges of an input are creases, unless said otherwise."""
 SMALLEST_OFFSET = 0.05
 """In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
-
-
-DEFAULTS: dict[str, dict[str, float]] = {
-    "triangle": {
-        "edge_length": 0.55,
-        "iterations": 25,
-        "weight_intersection": 30.0,
-        "weight_exclusion": 30.0,
-        "weight_shape": 100.0,
-        "weight_normal": 0.0,
-    },
-    "polygon": {
-        "edge_length": 0.55,
-        "iterations": 16,
-        "weight_intersection": 100.0,
-        "weight_exclusion": 30.0,
-        "weight_shape": 5.0,
-    },
-    "paper": {
-        "iterations": 800,
-        "learning_rate": 0.01,
-        "weight_intersection": 10.0,
-        "weight_exclusion": 10.0,
-        "weight_shape": 1.0,
-        "weight_normal": 0.1,
-    },
-}
-"""What an option that is not given is, by kind of faces or by preset; what stands in none of them
-is not asked for there."""
-
-
-@dataclass(frozen=True)
-class Params(contract.Params):
-    """Options of the sphere-train stage."""
-
-    faces: Literal["triangle", "polygon"] = "triangle"
-    """Triangles, whose surface conforms exactly, or polygons, which do nearly, as in the paper."""
-    preset: Literal["default", "paper"] = "default"
-    """paper: Adam on the initial surface with its losses and weights of 10, 10, 1 and 0.1;
-    triangles are then polygons split at their centroids."""
-    edge_length: Annotated[float, Range(0.05, 10)] | None = None
-    """Edge length of the triangles, 0.55 h0 by default, shorter where the shape is thin; polygons
-    are made of their vertices."""
-    iterations: Annotated[int, Range(0, 1_000_000)] | None = None
-    """Gauss-Newton steps, 25 on triangles and 16 on polygons; 800 Adam iterations of the paper."""
-    learning_rate: Positive | None = None
-    """First Adam step of the paper's training, 0.01 h0; decays to 0 as a cosine."""
-    weight_intersection: Positive | None = None
-    """Weight of the sphere-intersection loss; for triangles, of pairs that are to exist."""
-    weight_exclusion: Positive | None = None
-    """Weight of the exclusion loss."""
-    weight_shape: Positive | None = None
-    """Weight of the shape loss."""
-    weight_normal: Positive | None = None
-    """Weight of normal consistency; for triangles, of vertices at the height of their
-    neighbours."""
-    weight_smooth: Positive = 0.02
-    """Weight of vertices amid their neighbours, along the surface."""
-    weight_radius: Positive = 0.02
-    """Weight of radii near the mean of their neighbours' (triangles)."""
-    shape_loss: Literal["distance", "level-set", "chamfer", "images"] | None = None
-    """Distance to the surface (the default), or, trained as in the paper, its own: level-set for
-    fields, Chamfer for meshes, images for views (the default of the preset)."""
-    target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
-    """Points sampled on an input mesh for the Chamfer loss."""
-    sharp: str = "auto"
-    """Edges along the creases of meshes and fields: auto, from 40 degrees on (triangles; polygons
-    have none), off, or the least angle in degrees."""
-    merge: Positive = 0.1
-    """Vertices of the polygons' diagram this near to a trained one, in units of h0, become it in
-    the written surface, so that slivers between polygons vanish; 0 writes them."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.faces == "triangle" and self.preset == "default" and self.by_adam:
-            raise UsageError(
-                f"--shape-loss {self.shape_loss}: triangles are trained on the distance; add "
-                "--faces polygon or --preset paper"
-            )
-        if self.kind != "triangle" and self.sharp not in ("auto", "off"):
-            raise UsageError(f"--sharp {self.sharp}: only triangles have creases")
-        _ = self.angle
-        for name in ("edge_length", "learning_rate", "weight_normal"):
-            if getattr(self, name) is not None and name not in DEFAULTS[self.kind]:
-                other = "--preset paper" if name == "learning_rate" else "--faces triangle"
-                raise UsageError(
-                    f"--{name.replace('_', '-')}: not used in this training; add {other}"
-                )
-
-    @property
-    def by_adam(self) -> bool:
-        """Whether the initial surface is trained as in the paper."""
-        return self.preset == "paper" or self.shape_loss not in (None, "distance")
-
-    @property
-    def angle(self) -> float | None:
-        """Degrees from which on an edge of the input is a crease. Raises UsageError."""
-        if self.sharp in ("auto", "off"):
-            return CREASE_ANGLE if self.sharp == "auto" else None
-        try:
-            angle = float(self.sharp)
-        except ValueError:
-            angle = 0.0
-        if not 5 <= angle <= 175:
-            raise UsageError(f"--sharp {self.sharp}: must be auto, off, or from 5 to 175 degrees")
-        return angle
-
-    @property
-    def kind(self) -> str:
-        """The row of DEFAULTS."""
-        return "paper" if self.by_adam else self.faces
-
-    def value(self, name: str) -> float:
-        """What was given for ``name``, or its default."""
-        given = getattr(self, name)
-        return float(DEFAULTS[self.kind][name] if given is None else given)
-
-    def weights(self, *names: str) -> dict[str, float]:
-        return {name: self.value(f"weight_{name}") for name in names}
 
 
 def run(context: Context) -> Outcome:
@@ -161,6 +39,7 @@ def _triangles(context: Context) -> Outcome:
     """Triangle faces: remeshed, trained until they conform, and certified."""
     import numpy as np
 
+    from .optimize.refinement import Refine
     from .optimize.triangles import train_triangles
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
@@ -170,10 +49,11 @@ def _triangles(context: Context) -> Outcome:
     names = ("intersection", "exclusion", "shape", "normal", "smooth", "radius")
     done = train_triangles(
         context,
-        params.value("edge_length"),
+        params.spacing,
         params.weights(*names),
         int(params.value("iterations")),
         params.angle,
+        None if params.refine is None else Refine(params.refine, params.faces_target),
     )
     spheres = done.spheres
     trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
@@ -215,8 +95,7 @@ def _polygons(context: Context) -> Outcome:
         names = ("intersection", "exclusion", "shape", "normal")
         weights = {name: plain[f"weight_{name}"] for name in names}
         weights |= params.weights("smooth", "radius")
-        edge_length = params.value("edge_length")
-        done = train_triangles(context, edge_length, weights, int(plain["iterations"]))
+        done = train_triangles(context, params.spacing, weights, int(plain["iterations"]))
         mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
         how = done.rounds, done.from_input
     facts, said = started(*how)
@@ -376,12 +255,13 @@ def _memory(context: Context) -> float:
     params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0
     if not params.by_adam:
         faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2
+        faces = params.faces_target or faces
     return peak(600.0, 430.0, 8.0 if params.kind == "triangle" else 30.0, faces)
 
 
 STAGE = Stage(
     name="sphere-train",
-    version=7,
+    version=8,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

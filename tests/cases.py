@@ -32,6 +32,7 @@ def _words(text: str) -> Command:
 CLASSIFY, MESH, CLOUD = map(_words, (
     "classify sphere -n 6", "classify ball.obj -n 6", "classify cloud.xyz -n 6"))  # fmt: skip
 INIT = _words("init --iterations 50")
+REFINED = _words("sphere-train --iterations 6 --edge-length 0.8 --refine 0.02")
 TRIANGLES = _words("sphere-train --iterations 8 --faces triangle")
 POLYGONS = _words("sphere-train --iterations 6 --faces polygon")
 PAPER = _words("sphere-train --preset paper --iterations 120")
@@ -53,6 +54,7 @@ CASES = {
     "init again": Case(INIT, (CLASSIFY, _words("init --iterations 3"))),
     "triangles": Case(TRIANGLES, TRAINED[:2]),
     "triangles mesh": Case(TRIANGLES, (MESH, INIT)),
+    "refined": Case(REFINED, TRAINED[:2]),
     "polygons again": Case(POLYGONS, TRAINED),
     "polygons": Case(POLYGONS, TRAINED[:2]),
     "paper": Case(PAPER, TRAINED[:2]),

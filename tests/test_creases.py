@@ -14,8 +14,17 @@ from test_sources import write_obj
 from vorolight.stages.sources.contouring import contoured
 from vorolight.stages.sources.creases import of_triangles
 from vorolight.stages.sources.resolve import identify
-from vorolight.stages.surface.creases import CORNER, CREASE, Chain, Creases, deviation, embed
+from vorolight.stages.surface.creases import (
+    CORNER,
+    CREASE,
+    Chain,
+    Creases,
+    cut_ears,
+    deviation,
+    embed,
+)
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
+from vorolight.stages.surface.geometry import triangle_normals
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.operations import contract_short, delaunay_gain, flip, split_long
 from vorolight.stages.surface.remesh import remesh
@@ -95,8 +104,8 @@ def test_edges_follow_creases_through_remeshing(tmp_path: Path) -> None:
     creases = Creases(of_triangles(vertices, triangles, 40.0))
     surface = surface_of(tmp_path / "cube.ply", (vertices, triangles))
     rounded = vertices * (3.0 / np.linalg.norm(vertices, axis=1) * 0.15 + 0.85)[:, None]
-    mesh, missed = remesh(rounded, triangles, lambda at: np.full(len(at), 0.7), surface, creases)
-    assert missed == 0
+    mesh = Sized(rounded, triangles, np.full(len(rounded), 0.7))
+    assert remesh(mesh, lambda at: np.full(len(at), 0.7), surface, creases) == 0
     whole(mesh)
     found = deviation(creases, mesh.vertices, mesh.rank, mesh.creases)
     assert found["edge_distance_max"] < 1e-9
@@ -109,6 +118,38 @@ def test_edges_follow_creases_through_remeshing(tmp_path: Path) -> None:
         contract_short(mesh)
         flip(mesh, delaunay_gain)
         whole(mesh)
+
+
+def test_creases_close_to_each_other_stay_apart(tmp_path: Path) -> None:
+    box = trimesh.creation.box((6.0, 6.0, 0.5)).subdivide().subdivide().subdivide()
+    vertices, triangles = np.asarray(box.vertices), np.asarray(box.faces, np.int64)
+    creases = Creases(of_triangles(vertices, triangles, 40.0))
+    surface = surface_of(tmp_path / "plate.ply", (vertices, triangles))
+    mesh = Sized(vertices.copy(), triangles.copy(), np.full(len(vertices), 0.6))
+    # The corners are nearer to each other than an edge is long.
+    assert remesh(mesh, lambda at: np.full(len(at), 0.6), surface, creases) <= 4
+    _, area = triangle_normals(mesh.vertices, mesh.triangles)
+    assert area.min() > 1e-3
+    number = mesh.chains()
+    for chain in np.unique(mesh.creases[:, 2]):
+        own = Creases([creases.chains[chain]])
+        on = mesh.vertices[(number == chain) & (mesh.rank == CREASE)]
+        assert np.linalg.norm(on - own.closest(on)[0], axis=1).max(initial=0) < 1e-9
+
+
+def test_a_crease_around_a_triangle_goes_along_its_third_edge() -> None:
+    box = trimesh.creation.box((1.0, 1.0, 1.0))
+    triangles = np.asarray(box.faces, np.int64)
+    a, b, c = triangles[0]
+    mesh = Sized(np.asarray(box.vertices), triangles, np.ones(8))
+    mesh.rank = np.zeros(8, np.int64)
+    mesh.rank[[a, b, c]] = CORNER, CREASE, CORNER
+    mesh.creases = np.array([[a, b, 5], [b, c, 5]])
+    assert cut_ears(mesh) == 1
+    assert sorted(mesh.creases[0, :2].tolist()) == sorted([int(a), int(c)])
+    assert mesh.creases[:, 2].tolist() == [5]
+    assert mesh.rank[b] == 0
+    assert cut_ears(mesh) == 0
 
 
 def test_a_crease_that_no_edges_can_follow_is_counted() -> None:

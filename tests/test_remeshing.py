@@ -14,7 +14,7 @@ from vorolight.stages.sources.fields import FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.parity import RayParity
 from vorolight.stages.sources.projection import ClosestPoint, closest_on_triangles
-from vorolight.stages.sources.true_surface import true_surface
+from vorolight.stages.sources.true_surface import TrueSurface, true_surface
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
 from vorolight.stages.surface.model_frame import ModelFrame
@@ -87,10 +87,19 @@ def test_closest_points_of_a_field(name: str) -> None:
     assert np.linalg.norm(normal, axis=1) == pytest.approx(1)
 
 
+def remeshed(
+    vertices: np.ndarray, triangles: np.ndarray, length: float, surface: TrueSurface
+) -> Sized:
+    """With edges of one ``length``."""
+    mesh = Sized(vertices.copy(), triangles.copy(), np.full(len(vertices), length))
+    remesh(mesh, lambda at: np.full(len(at), length), surface)
+    return mesh
+
+
 @pytest.mark.parametrize("mesh", [sphere_mesh(3.0, 4), torus_mesh(4.0, 1.5, 90, 20)])
 def test_remeshing_keeps_the_topology_and_evens_the_edges(mesh: tuple, tmp_path: Path) -> None:
     surface = surface_of(tmp_path / "shape.ply", mesh)
-    found, _ = remesh(*mesh, lambda at: np.full(len(at), 0.6), surface)
+    found = remeshed(*mesh, 0.6, surface)
     before = topology(PolygonMesh.of_triangles(*mesh))
     after = topology(PolygonMesh.of_triangles(found.vertices, found.triangles))
     assert (after.closed, after.pinched_vertices) == (True, 0)
@@ -108,7 +117,7 @@ def test_remeshing_refuses_an_open_surface(tmp_path: Path) -> None:
     vertices, triangles = sphere_mesh(1.0, 2)
     surface = surface_of(tmp_path / "ball.ply", (vertices, triangles))
     with pytest.raises(ValueError, match="not closed"):
-        remesh(vertices, triangles[1:], lambda at: np.full(len(at), 0.3), surface)
+        remeshed(vertices, triangles[1:], 0.3, surface)
 
 
 def test_a_chamfered_cube_gets_its_edges_back(tmp_path: Path) -> None:
@@ -119,7 +128,7 @@ def test_a_chamfered_cube_gets_its_edges_back(tmp_path: Path) -> None:
     surface = surface_of(tmp_path / "cube.ply", cube)
     vertices, triangles = sphere_mesh(1.0, 4)
     rounded = 2 * vertices / (np.abs(vertices) ** 6).sum(axis=1)[:, None] ** (1 / 6)
-    found, _ = remesh(rounded, triangles, lambda at: np.full(len(at), 0.6), surface)
+    found = remeshed(rounded, triangles, 0.6, surface)
     edge = np.linspace(-2, 2, 200)
     edges = np.stack([edge, np.full(200, 2.0), np.full(200, 2.0)], axis=1)
     edges = np.concatenate([edges, edges[:, [1, 0, 2]], edges[:, [1, 2, 0]]])

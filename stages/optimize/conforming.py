@@ -18,7 +18,7 @@ from ..surface.operations import Gain, contract_short, delaunay_gain, flip
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import astray, keeping, unfold
 from ..surface.sheets import part
-from .descent import DAMPING, TERMS, descend
+from .descent import DAMPING, descend
 from .sphere_problem import SphereProblem
 from .spheres import Spheres, edge_lengths, intrusion_gain
 
@@ -42,6 +42,8 @@ SETTLED = (0.55, 0.9)
 """Radii around an intruder are brought back to these limits, in edge lengths."""
 RINGS = 3
 """Rings of vertices around an intruder's that move in a round."""
+ONWARD = 1000
+"""Checkpoints after each refinement are numbered from a multiple of this on."""
 SHORT = 0.5
 """Edges around an intruder shorter than this are contracted, in edge lengths."""
 
@@ -57,27 +59,30 @@ class Leg:
 
 
 def conform(
-    start: Sized,
+    spheres: Spheres,
+    free: NDArray[np.bool_],
+    history: Floats,
     surface: TrueSurface,
     creases: Creases | None,
     leg: Leg,
+    stored: Mapping[str, int],
     checkpoints: Checkpoints,
     progress: Progress,
     threads: int,
 ) -> tuple[Spheres, Floats, int]:
-    """Train the spheres at the vertices of ``start``, then repair what does not conform.
+    """Train ``spheres``, those that are ``free (V,)``, then repair what does not conform.
 
     In a round of repair short edges around the intruders are contracted, and where that does not
     help the pull to the true surface is let go by and by, until there is room for the spheres.
-    Returns the spheres, the history ``(iterations, 4)`` of the losses (TERMS) before the repair and
-    the number of rounds. Raises NumericalFailure when a value is not finite.
+    Returns the spheres, the ``history (iterations, 4)`` with the losses before the repair and the
+    number of rounds. Goes on from the last checkpoint if that has been ``refined`` as often as
+    ``stored`` says. Raises NumericalFailure when a value is not finite.
     """
-    spheres, number, begin, damping = Spheres.at(start), 0, 0, DAMPING[0]
-    history, free = np.zeros((0, len(TERMS))), np.ones(len(start.vertices), dtype=bool)
+    number, begin, damping = 0, 0, DAMPING[0]
     found = checkpoints.latest()
-    if found is not None:
+    if found is not None and found[1]["refined"].item() == stored["refined"]:
         kept = found[1]
-        spheres = Spheres(*(kept[item.name] for item in fields(Spheres)))
+        spheres = Spheres.stored(kept)
         number, begin, damping = (kept[name].item() for name in ("round", "begin", "damping"))
         history, free = kept["history"], kept["free"].astype(bool)
     strict = {key: STRICT * leg.weights[key] for key in ("intersection", "exclusion")}
@@ -98,12 +103,12 @@ def conform(
                     item.name: getattr(spheres, item.name) for item in fields(Spheres)
                 }
                 state |= {"round": number, "begin": first, "damping": damping}
-                state |= {"free": free, "history": history}
-                checkpoints.save(before + first, state.copy)
+                state |= {"free": free, "history": history, **stored}
+                checkpoints.save(ONWARD * stored["refined"] + before + first, state.copy)
             if not number and 2 * first < count:
                 gain = intrusion_gain if first else delaunay_gain
                 mesh = spheres.as_mesh()
-                flip(mesh, keeping(surface, gain))
+                flip(mesh, within(free, keeping(surface, gain)))
                 spheres = replace(spheres, triangles=mesh.triangles)
             last = min(count, first + LEG)
             # What conformity needs gets its full weight by and by.
@@ -116,7 +121,7 @@ def conform(
         number, begin = number + 1, 0
 
 
-def _rings(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
+def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
     """``marked (V,)`` grown by rings of neighbouring vertices."""
     for _ in range(rings):
         grown = marked.copy()
@@ -133,20 +138,20 @@ def _mended(
     triangles = spheres.triangles
     wrong = intruded.copy()
     wrong[triangles[astray(spheres.as_mesh(), surface)]] = True
-    near = _rings(triangles, wrong, 1)
+    near = rings_around(triangles, wrong, 1)
     age = spheres.age + near
     old, oldest = (wrong & (age > patience) for patience in (PATIENCE, 2 * PATIENCE))
-    loose = _rings(triangles, old, 1) | _rings(triangles, oldest, 2)
+    loose = rings_around(triangles, old, 1) | rings_around(triangles, oldest, 2)
     less = np.minimum(spheres.hold, np.maximum(RELEASE * spheres.hold, LOOSEST))
     mesh = replace(spheres, hold=np.where(loose, less, spheres.hold), age=age).as_mesh()
-    free = _rings(triangles, wrong, RINGS) | _rings(triangles, old, 2 * RINGS)
+    free = rings_around(triangles, wrong, RINGS) | rings_around(triangles, old, 2 * RINGS)
     mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
     if old.any():
-        part(mesh, _rings(triangles, old, RINGS))
+        part(mesh, rings_around(triangles, old, RINGS))
     contract_short(mesh, SHORT, near)
     unfold(mesh, surface)
     near, free = (mesh.carried[:, -2:] > 0).T
-    flip(mesh, _within(near, keeping(surface, intrusion_gain)))
+    flip(mesh, within(near, keeping(surface, intrusion_gain)))
     mesh.length = np.where(near, edge_lengths(mesh.vertices, mesh.triangles), mesh.length)
     low, high = (limit * mesh.length for limit in SETTLED)
     radii = mesh.carried[:, 0]
@@ -154,7 +159,7 @@ def _mended(
     return Spheres.of_mesh(mesh), free
 
 
-def _within(where: NDArray[np.bool_], gain: Gain) -> Gain:
+def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
     """``gain`` of the edges whose two triangles lie ``where (V,)``."""
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..surface.edge_table import EdgeTable, Sized
 from ..surface.geometry import limited, triangle_normals, vertex_normals
@@ -157,8 +158,25 @@ def _closest(
     return triangle, place
 
 
-def fit(mesh: Sized, surface: TrueSurface) -> None:
-    """Move the vertices to where the squared distances, both ways, are least."""
+def vertex_errors(surface: TrueSurface, vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Of samples on the triangles around each vertex and those of the true surface, the mean
+    squared distance and the largest, ``(V,)`` each."""
+    total, share, largest = (np.zeros(len(vertices)) for _ in range(3))
+    for way in (forward, backward):
+        rows = way(surface, vertices, triangles)
+        weight = rows.share[:, None] * rows.weights
+        distance = np.repeat(np.abs(rows.distance(vertices))[:, None], 3, axis=1)
+        square = distance**2
+        for sums, values in ((total, weight * square), (share, weight)):
+            sums += np.bincount(rows.corners.reshape(-1), values.reshape(-1), len(vertices))
+        touching = rows.weights > 0
+        np.maximum.at(largest, rows.corners[touching], distance[touching])
+    return total / np.maximum(share, np.finfo(float).tiny), largest
+
+
+def fit(mesh: Sized, surface: TrueSurface, where: NDArray[np.bool_] | None = None) -> None:
+    """Move the vertices, or those ``where (V,)``, to where the squared distances, both ways, are
+    least; those on creases stay."""
     blocks = []
     for way in (forward, backward):
         rows = way(surface, mesh.vertices, mesh.triangles)
@@ -166,6 +184,6 @@ def fit(mesh: Sized, surface: TrueSurface) -> None:
         columns = 3 * rows.corners[:, :, None] + np.arange(3)
         values = root[:, None, None] * rows.gradient()
         blocks.append(Block.dense(columns, values, root * rows.distance(mesh.vertices)))
-    free = np.repeat(mesh.rank == 0, 3)
+    free = np.repeat((mesh.rank == 0) if where is None else (mesh.rank == 0) & where, 3)
     move = GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3)
     mesh.vertices = mesh.vertices + limited(move, LONGEST_STEP * mesh.length)

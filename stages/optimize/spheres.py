@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,11 @@ class Spheres:
             mesh.vertices, FIRST_RADIUS * length, mesh.triangles, length, ones, 0 * ones,
             mesh.rank, mesh.creases,
         )  # fmt: skip
+
+    @classmethod
+    def stored(cls, arrays: Mapping[str, Any]) -> Spheres:
+        """From a checkpoint."""
+        return cls(*(arrays[item.name] for item in fields(cls)))
 
     @property
     def face_lengths(self) -> Floats:

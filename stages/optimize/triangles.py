@@ -6,19 +6,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..sources.creases import found
+import numpy as np
+
+from ..sources.creases import found as creases_found
 from ..surface.creases import Creases, deviation
 from ..surface.geometry import fan_triangles
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats, PolygonMesh
-from ..surface.remesh import remesh
-from ..surface.sizing import for_surface
+from ..surface.spacing import Spacing, spaced
 from ..surface.topology import topology
-from .conforming import Leg, conform
+from .conforming import ROUND, Leg, conform
+from .descent import TERMS
+from .fitting import vertex_errors
+from .refinement import MOST, Refine, refined
 from .spheres import Spheres
 
 if TYPE_CHECKING:
     from ..contract import Context
+
+
+MISSED = 0.05
+"""Share of the faces asked for by which they may be missed."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +42,10 @@ class Trained:
     """What the input has of creases, if they were looked for and there are any."""
     missed: int
     """Creases between corners that no edges follow."""
+    refinement: dict[str, Any] | None
+    """How the refinement went, if there was to be one."""
+    asked: int | None
+    """How many triangles there were to be."""
 
     def facts(self) -> dict[str, Any]:
         """How it went, for the manifest."""
@@ -47,6 +59,8 @@ class Trained:
                 "length_in_h": sum(chain.length for chain in self.creases.chains),
                 **deviation(self.creases, spheres.centres, spheres.rank, spheres.creases),
             }
+        if self.refinement is not None:
+            facts["refinement"] = self.refinement
         return facts
 
     def warnings(self) -> list[str]:
@@ -55,6 +69,17 @@ class Trained:
             said.append(
                 f"{self.missed} of {len(self.creases.chains)} creases are not followed by edges: "
                 "raise -n, or lower --edge-length"
+            )
+        count = len(self.spheres.triangles)
+        if self.asked and self.refinement is None and abs(count / self.asked - 1) > MISSED:
+            said.append(
+                f"--faces-target {self.asked}: there are {count}; thin parts, creases and "
+                "--spacing-min and --spacing-max leave no other number"
+            )
+        if self.refinement is not None and not self.refinement["within"]:
+            said.append(
+                f"--refine: up to {self.refinement['largest']:.3g} h0 are left to the shape "
+                f"after {self.refinement['rounds']} rounds: raise --faces-target or the bound"
             )
         return said
 
@@ -68,15 +93,17 @@ def started(rounds: int, from_input: bool) -> tuple[dict[str, Any], list[str]]:
 
 def train_triangles(
     context: Context,
-    edge_length: float,
+    spacing: Spacing,
     weights: Mapping[str, float],
     iterations: int,
     angle: float | None = None,
+    refine: Refine | None = None,
 ) -> Trained:
-    """The surface of stage init, or the input's if that has not its topology, remeshed with edges
-    of ``edge_length`` h0 and trained by ``iterations`` steps and as many repairs as it needs.
+    """The surface of stage init, or the input's if that has not its topology, remeshed as
+    ``spacing`` asks and trained by ``iterations`` steps and as many repairs as it needs.
 
-    Edges follow the creases that turn by ``angle`` degrees or more; None lets them go.
+    Edges follow the creases that turn by ``angle`` degrees or more; None lets them go. With
+    ``refine`` what is too far from the shape then is divided and trained again.
     """
     frame, surface = ModelFrame.of(context.arrays("classify")), context.surface
     first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
@@ -86,12 +113,36 @@ def train_triangles(
         # What follows keeps the topology that it starts with.
         first = context.source().manifold()
     first = first.with_vertices(frame.model_from_input(first.vertices))
-    length = for_surface(surface.samples, surface.normals, edge_length)
-    chains = [] if angle is None else found(context.source(), frame, angle)
+    chains = [] if angle is None else creases_found(context.source(), frame, angle)
     creases = Creases(chains) if chains else None
-    start, missed = remesh(*fan_triangles(first)[:2], length, surface, creases)
-    spheres, history, rounds = conform(
-        start, surface, creases, Leg(iterations, weights), context.checkpoints, context.progress,
-        context.threads,
-    )  # fmt: skip
-    return Trained(spheres, history, rounds, from_input, creases, missed)
+    found = context.checkpoints.latest()
+    if found is None:
+        start, missed = spaced(*fan_triangles(first)[:2], surface, creases, spacing)
+        spheres, history = Spheres.at(start), np.zeros((0, len(TERMS)))
+        free = np.ones(len(spheres.centres), dtype=bool)
+        times = repairs = 0
+    else:
+        spheres, history = Spheres.stored(found[1]), found[1]["history"]
+        free = found[1]["free"].astype(bool)
+        missed, times, repairs = (found[1][key].item() for key in ("missed", "refined", "repairs"))
+    while True:
+        spheres, history, rounds = conform(
+            spheres, free, history, surface, creases,
+            Leg(ROUND if times else iterations, weights),
+            {"missed": missed, "refined": times, "repairs": repairs},
+            context.checkpoints, context.progress, context.threads,
+        )  # fmt: skip
+        repairs += rounds
+        further = None
+        if refine is not None and times < MOST:
+            further = refined(spheres, surface, creases, refine)
+        if further is None:
+            break
+        (spheres, free), times = further, times + 1
+    facts = None
+    if refine is not None:
+        _, far = vertex_errors(surface, spheres.centres, spheres.triangles)
+        largest = float(far.max())
+        facts = {"rounds": times, "bound": refine.bound, "largest": largest,
+                 "within": largest <= refine.bound}  # fmt: skip
+    return Trained(spheres, history, repairs, from_input, creases, missed, facts, spacing.faces)

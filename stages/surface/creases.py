@@ -57,6 +57,7 @@ class Creases:
             np.arange(len(chains)), [len(chain.points) - 1 for chain in chains]
         )[self.owner]  # fmt: skip
         """The chain of each of the ``dense`` points."""
+        self.tangents = (ways / length[:, None])[self.owner]
         self.tree: Any = cKDTree(self.dense)
         self.trees: Any = cKDTree(np.column_stack([self.dense, APART * self.chain]))
 

@@ -32,13 +32,16 @@ Gain = Callable[[Sized, EdgeTable], Floats]
 """What flipping each edge is worth, ``(E,)``; those with a positive gain are flipped."""
 
 
-def split_long(mesh: Sized, factor: float = LONGEST) -> int:
-    """Halve edges longer than ``factor`` target lengths; the number of halved edges."""
+def split_long(mesh: Sized, factor: float = LONGEST, most: float = np.inf) -> int:
+    """Halve edges longer than ``factor`` target lengths, ``most`` of them at the most; returns how
+    many were."""
     done = 0
     for _ in range(PASSES):
         table = EdgeTable.of(mesh.triangles)
         excess = table.lengths(mesh.vertices) / mesh.edge_target(table.ends)
         chosen = _best_in_triangles(table, excess, excess > factor, len(mesh.triangles))
+        if len(chosen) > most - done:
+            chosen = chosen[np.argsort(-excess[chosen], kind="stable")[: int(most - done)]]
         if len(chosen) == 0:
             break
         done += len(chosen)

@@ -36,7 +36,7 @@ STEP = 0.7
 LAST, LAST_STEP = 3, 0.2
 """The last iterations, and that share in them: creases come to rest."""
 EMBEDDED = 4
-"""Iterations before the creases are looked for among the edges."""
+"""Iterations before the creases are looked for among the edges of a new surface."""
 FITS = 3
 """Fits at the end."""
 SHARP = 0.866
@@ -51,20 +51,21 @@ and the fold is an accident."""
 
 
 def remesh(
-    vertices: Floats, triangles: Ints, length: Length, surface: TrueSurface,
-    creases: Creases | None = None, iterations: int = 12,
-) -> tuple[Sized, int]:  # fmt: skip
-    """A triangulation of the same closed surface with edges about ``length(points)`` long, fitted
-    to ``surface``, with edges along its ``creases``; and how many of those have none.
+    mesh: Sized, length: Length, surface: TrueSurface, creases: Creases | None = None,
+    iterations: int = 12, embedded: int = EMBEDDED,
+) -> int:  # fmt: skip
+    """Triangulate the same closed surface with edges about ``length(points)`` long, fitted to
+    ``surface``, from iteration ``embedded`` on with edges along its ``creases``. Returns how many
+    of those have none.
 
     Raises ValueError when the surface is not closed and manifold along its edges.
     """
-    mesh, missed = Sized(vertices.copy(), triangles.copy(), length(vertices)), 0
+    mesh.length, missed = length(mesh.vertices), 0
     nearer, valence, delaunay = (
         nearer_gain(surface), smooth_only(valence_gain), keeping(surface, delaunay_gain)
     )  # fmt: skip
     for iteration in range(iterations):
-        if creases is not None and iteration == EMBEDDED:
+        if creases is not None and iteration == embedded:
             missed = embed(mesh, creases)
         cut_ears(mesh)
         split_long(mesh)
@@ -88,12 +89,13 @@ def remesh(
     fit(mesh, surface)
     if creases is not None:
         drawn_on(mesh, creases)
-    return mesh, missed
+    return missed
 
 
-def relax(mesh: Sized, step: float) -> None:
-    """Move vertices along the surface towards the mean of their triangles' centroids, ``step`` of
-    the way. Triangles weigh by their area over the squared target length."""
+def relax(mesh: Sized, step: float, where: NDArray[np.bool_] | None = None) -> None:
+    """Move vertices, or those ``where (V,)``, along the surface towards the mean of their
+    triangles' centroids, ``step`` of the way. Triangles weigh by their area over the squared target
+    length."""
     _, area = triangle_normals(mesh.vertices, mesh.triangles)
     weight = area / mesh.length[mesh.triangles].mean(axis=1) ** 2
     centroid = weight[:, None] * mesh.vertices[mesh.triangles].mean(axis=1)
@@ -112,6 +114,8 @@ def relax(mesh: Sized, step: float) -> None:
             total = np.bincount(both[:, 0], mesh.vertices[both[:, 1], k], minlength=count)
             move[on, k] = 0.5 * total[on] - mesh.vertices[on, k]
     move[mesh.rank == CORNER] = 0.0
+    if where is not None:
+        move[~where] = 0.0
     mesh.vertices = mesh.vertices + step * move
 
 

@@ -1,24 +1,35 @@
-"""The target edge length over a surface: a base length, finer where the shape is thin."""
+"""The target edge length over a surface: what is asked for, finer where the shape is thin, creases
+are close to each other, or triangles are far from the surface."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .polygons import Floats, Ints
 
+if TYPE_CHECKING:
+    from .creases import Creases
+
 OPPOSITE = -0.5
 """Cosine of two normals below which they are of opposite sheets."""
 ACROSS = 0.6
 """Cosine to both normals above which the way between two points leads across a sheet."""
+BETWEEN = 0.5
+"""Cosine to both tangents below which the way between two points leads from crease to crease."""
 THINNEST = 0.6
 """Edge of a triangle, or of a voxel, over the thickness that it still resolves."""
-SMALLEST = 0.25
-"""The least target length, in units of the largest."""
 GRADATION = 0.35
 """How much the target length may grow per length."""
 NEIGHBOURS = 8
+MOST_PAIRS = 2e7
+"""Of points that are looked at for sheets opposite; the reach is less where there would be more."""
+EVEN = 1 / 6
+"""The squared error over a triangle grows with the sixth power of its edge length, and the sum over
+a number of triangles is least where each has the same."""
+STRONGEST = 3.0
+"""Factor by which one look at the errors changes a length at the most."""
 
 
 def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
@@ -30,8 +41,10 @@ def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
-    pairs: Any = tree.query_pairs(limit, output_type="ndarray")
     result = np.full(len(points), np.inf)
+    while tree.count_neighbors(tree, limit) > MOST_PAIRS:
+        limit *= 0.8
+    pairs: Any = tree.query_pairs(limit, output_type="ndarray")
     if len(pairs) == 0:
         return result
     facing = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < OPPOSITE
@@ -46,14 +59,28 @@ def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
     return result
 
 
-def for_surface(points: Floats, normals: Floats, length: float) -> LengthField:
-    """``length`` everywhere but where the shape or a gap is thin; ``points, normals (N, 3)``."""
-    thin = thickness(points, normals, length / THINNEST)
-    return LengthField(points, np.clip(THINNEST * thin, SMALLEST * length, length))
+def separation(points: Floats, tangents: Floats, limit: float) -> Floats:
+    """Distance ``(N,)`` from each point of a crease to the next crease, or the other side of its
+    own, across; infinity beyond ``limit``. ``points, tangents (N, 3)`` sample the creases."""
+    from scipy.spatial import cKDTree
+
+    result = np.full(len(points), np.inf)
+    pairs: Any = cKDTree(points).query_pairs(limit, output_type="ndarray")
+    if len(pairs) == 0:
+        return result
+    way = points[pairs[:, 1]] - points[pairs[:, 0]]
+    distance = np.linalg.norm(way, axis=1)
+    across = distance > 0
+    for side in range(2):
+        along = np.einsum("ij,ij->i", way, tangents[pairs[:, side]])
+        across &= np.abs(along) < BETWEEN * distance
+    for side in range(2):
+        np.minimum.at(result, pairs[across, side], distance[across])
+    return result
 
 
 class LengthField:
-    """A target length at samples of a surface, extended to its neighbourhood."""
+    """A target length at points of a surface, extended to their neighbourhood."""
 
     def __init__(self, points: Floats, lengths: Floats) -> None:
         from scipy.spatial import cKDTree
@@ -65,9 +92,9 @@ class LengthField:
             near.reshape(-1),
             GRADATION * distance.reshape(-1),
         )
-        self.lengths = self._graded(lengths)
+        self.lengths = self.graded(lengths)
 
-    def _graded(self, lengths: Floats) -> Floats:
+    def graded(self, lengths: Floats) -> Floats:
         """The largest lengths below ``lengths`` that grow by GRADATION at the most."""
         here, there, rise = self.edges
         lengths = lengths.copy()
@@ -79,4 +106,35 @@ class LengthField:
                 return lengths
 
     def __call__(self, points: Floats) -> Floats:
-        return np.asarray(self.lengths[self.tree.query(points)[1]])
+        return np.asarray(self.lengths[self.nearest(points)])
+
+    def nearest(self, points: Floats) -> Ints:
+        return np.asarray(self.tree.query(points)[1])
+
+
+def limits(
+    points: Floats, normals: Floats, longest: float, creases: Creases | None, thinnest: float
+) -> tuple[Floats, Floats]:
+    """Points of a surface and the largest lengths there, ``(N, 3), (N,)``: at most ``longest``,
+    less where the shape or a gap is thin, or creases are close to each other: ``thinnest`` times
+    that distance.
+
+    ``points, normals (S, 3)`` sample the surface; points of creases are added to them.
+    """
+    reach = longest / thinnest
+    most = thickness(points, normals, reach)
+    if creases is not None:
+        most = np.append(most, separation(creases.dense, creases.tangents, reach))
+        points = np.concatenate([points, creases.dense])
+    return points, np.minimum(thinnest * most, longest)
+
+
+def evened(lengths: Floats, errors: Floats) -> Floats:
+    """Lengths ``(V,)`` in proportion to which each triangle would have the same squared error, from
+    present ones and the mean squared ``errors`` of triangles there."""
+    each = errors * lengths**2
+    mean = each.mean()
+    if not mean > 0:
+        return lengths
+    factor = (mean / np.maximum(each, np.finfo(float).tiny)) ** EVEN
+    return np.asarray(lengths * np.clip(factor, 1 / STRONGEST, STRONGEST))

@@ -1,0 +1,186 @@
+"""Edge lengths: thin parts, close creases, errors, a number of faces, refinement."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import Cli, fibonacci, random_rotation, sphere_mesh, surface_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_sources import write_obj
+
+from vorolight.stages.optimize.fitting import backward, forward, vertex_errors
+from vorolight.stages.optimize.refinement import Refine, refined
+from vorolight.stages.optimize.spheres import Spheres
+from vorolight.stages.surface.edge_table import EdgeTable, Sized
+from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.sizing import GRADATION, LengthField, evened, limits, separation
+from vorolight.stages.surface.spacing import Spacing, spaced
+from vorolight.stages.surface.topology import topology
+
+
+def egg(level: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """A long ellipsoid, 16 by 4 by 4, much more curved at its ends than at its sides."""
+    vertices, triangles = sphere_mesh(1.0, level)
+    return vertices * [8.0, 2.0, 2.0], triangles
+
+
+def rounded(level: int) -> tuple[np.ndarray, np.ndarray]:
+    """A cube of side 8 with round edges."""
+    vertices, triangles = sphere_mesh(1.0, level)
+    return 4 * vertices / (vertices**8).sum(axis=1)[:, None] ** (1 / 8), triangles
+
+
+def rms(mesh: Sized, surface: object) -> float:
+    ways = [way(surface, mesh.vertices, mesh.triangles) for way in (forward, backward)]
+    return float(np.sqrt(sum(rows.share @ rows.distance(mesh.vertices) ** 2 for rows in ways)))
+
+
+def test_creases_across_from_each_other_are_close_and_those_around_a_corner_are_not() -> None:
+    along = np.linspace(0, 10, 101)
+    line = np.stack([along, 0 * along, 0 * along], axis=1)
+    way = np.tile([1.0, 0.0, 0.0], (101, 1))
+    both = np.concatenate([line, line + np.array([0, 0.4, 0])])
+    found = separation(both, np.concatenate([way, way]), 2.0)
+    assert found == pytest.approx(0.4)
+    # At a right angle every way between the two goes along one of them, or obliquely.
+    other, turned = line[:, [1, 0, 2]], way[:, [1, 0, 2]]
+    corner = separation(np.concatenate([line, other]), np.concatenate([way, turned]), 2.0)
+    assert np.isinf(corner).all()
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    tangent = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    # Nearest across a circle are the points at which both tangents have a cosine of a half.
+    assert separation(ring, tangent, 3.0) == pytest.approx(2 * np.cos(np.radians(30)), rel=0.02)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), rise=st.floats(0.1, 3.0))
+def test_lengths_are_graded_whatever_is_asked_for(seed: int, rise: float) -> None:
+    random = np.random.default_rng(seed)
+    points = fibonacci(400, 3.0)
+    wanted = np.exp(random.normal(0, rise, 400))
+    field = LengthField(points, wanted)
+    assert (field.lengths <= wanted).all()
+    assert field.lengths.min() == wanted.min()
+    here, there, limit = field.edges
+    assert (field.lengths[here] <= field.lengths[there] + limit + 1e-3 * wanted.min()).all()
+    assert limit == pytest.approx(GRADATION * np.linalg.norm(points[here] - points[there], axis=1))
+
+
+def test_lengths_even_the_errors_out() -> None:
+    lengths = np.array([1.0, 1.0, 2.0])
+    # Squared error over a triangle, in its area: 64 times as much, half the length.
+    assert evened(lengths, np.array([64.0, 1.0, 0.25])) == pytest.approx(
+        lengths * (22.0 / np.array([64.0, 1.0, 1.0])) ** (1 / 6)
+    )
+    assert (evened(lengths, np.zeros(3)) == lengths).all()
+
+
+@pytest.mark.parametrize("faces", [500, 3000])
+def test_a_number_of_faces_is_met(faces: int, tmp_path: Path) -> None:
+    shape = egg()
+    surface = surface_of(tmp_path / "egg.ply", shape)
+    mesh, _ = spaced(*egg(4), surface, None, Spacing(0.55, faces=faces))
+    assert len(mesh.triangles) == pytest.approx(faces, rel=0.04)
+    found = topology(PolygonMesh.of_triangles(mesh.vertices, mesh.triangles))
+    assert (found.closed, found.euler_number) == (True, 2)
+
+
+def test_varied_lengths_follow_the_surface_better(tmp_path: Path) -> None:
+    surface = surface_of(tmp_path / "cube.ply", rounded(6))
+    even, _ = spaced(*rounded(4), surface, None, Spacing(0.8, 0.8, 0.8))
+    varied, _ = spaced(*rounded(4), surface, None, Spacing(0.55, faces=len(even.triangles)))
+    assert len(varied.triangles) == pytest.approx(len(even.triangles), rel=0.03)
+    second = np.sort(np.abs(varied.vertices), axis=1)[:, 1]
+    # Edges of the cube are round, its sides are flat.
+    assert varied.length[second > 3.4].mean() < 0.6 * varied.length[second < 2].mean()
+    assert rms(varied, surface) < 0.85 * rms(even, surface)
+
+
+def test_lengths_keep_to_their_limits(tmp_path: Path) -> None:
+    surface = surface_of(tmp_path / "egg.ply", egg())
+    mesh, _ = spaced(*egg(4), surface, None, Spacing(0.55, 0.4, 0.9))
+    assert mesh.length.min() >= 0.4 * (1 - 1e-12)
+    assert mesh.length.max() <= 0.9 * (1 + 1e-12)
+    assert mesh.length.max() > 0.6  # the sides need less than the default
+
+
+def test_thin_parts_get_shorter_edges() -> None:
+    plate = trimesh.creation.box((8.0, 8.0, 0.5))
+    points, face = trimesh.sample.sample_surface(plate, 6000, seed=0)
+    turn = random_rotation(3)
+    _, most = limits(points @ turn.T, plate.face_normals[face] @ turn.T, 2.0, None, 0.6)
+    inner = np.abs(points[:, :2]).max(axis=1) < 3.5
+    # Opposite samples are not quite opposite.
+    assert np.median(most[inner]) == pytest.approx(0.3, rel=0.05)
+
+
+def test_only_what_is_too_far_is_divided(tmp_path: Path) -> None:
+    surface = surface_of(tmp_path / "egg.ply", egg())
+    start, _ = spaced(*egg(4), surface, None, Spacing(0.8, 0.8, 0.8))
+    spheres = Spheres.at(start)
+    _, far = vertex_errors(surface, spheres.centres, spheres.triangles)
+    bound = 0.5 * far.max()
+    further = refined(spheres, surface, None, Refine(bound))
+    assert further is not None
+    after, free = further
+    _, left = vertex_errors(surface, after.centres, after.triangles)
+    assert left.max() < 0.8 * far.max()
+    assert free.mean() < 0.6
+    still = {tuple(at) for at in spheres.centres[np.abs(spheres.centres[:, 0]) < 2]}
+    assert still <= {tuple(at) for at in after.centres[~free]}
+    assert len(EdgeTable.of(after.triangles).ends) == 3 * len(after.triangles) // 2
+    assert len(after.radii) == len(after.centres) == len(after.age) == len(free)
+    assert refined(spheres, surface, None, Refine(1.01 * far.max())) is None
+    most = len(spheres.triangles) + 20
+    less, _ = refined(spheres, surface, None, Refine(bound, most)) or (spheres, None)
+    assert len(spheres.triangles) < len(less.triangles) < len(after.triangles)
+    assert refined(spheres, surface, None, Refine(bound, len(spheres.triangles))) is None
+
+
+def test_faces_and_refinement_of_a_run(tmp_path: Path, cli: Cli) -> None:
+    write_obj(tmp_path / "egg.obj", *egg(4))
+    done = cli("init", "egg.obj", "-n", 14, "--iterations", 10, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+    def trained(*words: object) -> dict:
+        done = cli("sphere-train", *words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        record = json.loads((tmp_path / "egg.vorolight" / "sphere-train.json").read_text())
+        mesh = trimesh.load(tmp_path / "egg.vorolight" / "sphere-train.ply", process=False)
+        assert mesh.is_watertight
+        assert len(mesh.faces) == record["metrics"]["trained_faces"]
+        assert record["metrics"]["certificate"]["holds"]
+        return record
+
+    faces = trained("--faces-target", 700)["metrics"]["trained_faces"]
+    assert faces == pytest.approx(700, rel=0.05)
+    record = trained("--edge-length", 1.2, "--refine", 0.02)
+    assert record["metrics"]["refinement"]["within"]
+    assert record["metrics"]["refinement"]["rounds"] >= 1
+    assert record["warnings"] == []
+    record = trained("--edge-length", 1.2, "--refine", 0.001, "--faces-target", 600)
+    assert record["metrics"]["trained_faces"] <= 600
+    assert any("raise --faces-target or the bound" in said for said in record["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--spacing-min", "1", "--spacing-max", "0.5"], "more than --spacing-max"),
+        (["--faces-target", "500", "--faces", "polygon"], "only for --faces triangle"),
+        (["--refine", "0.1", "--preset", "paper"], "only for --faces triangle"),
+        (["--faces-target", "20"], "at least 100|from 100"),
+    ],
+)
+def test_impossible_spacings_are_refused(
+    words: list[str], reason: str, tmp_path: Path, cli: Cli
+) -> None:
+    done = cli("sphere-train", *words, "--run", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert any(part in done.stderr for part in reason.split("|"))
