@@ -89,8 +89,11 @@ def square_gradient(
     u, v, w = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0], centre - at[:, 0]
     uu, uv, vv = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, v), (v, v)))
     wu, wv = np.einsum("ij,ij->i", w, u), np.einsum("ij,ij->i", w, v)
-    determinant = np.maximum(uu * vv - uv * uv, np.finfo(float).tiny)
+    determinant = uu * vv - uv * uv
+    # One without area has no q that could follow its corners.
+    flat = determinant <= FLAT**2 * uu * vv
+    determinant = np.where(flat, np.inf, determinant)
     s, t = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
-    weight = np.stack([1 - s - t, s, t], axis=1)[:, :, None]
+    weight = np.where(flat[:, None], 0.0, np.stack([1 - s - t, s, t], axis=1))[:, :, None]
     value = 2 * weight * np.concatenate([centre[:, None] - at, radii[corners][:, :, None]], axis=2)
     return (4 * corners[:, :, None] + np.arange(4)).reshape(-1, 12), value.reshape(-1, 12)

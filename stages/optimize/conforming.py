@@ -38,7 +38,7 @@ PATIENCE = 2, 3, 5
 """Rounds in which only edges are contracted and flipped, before those at an intruder are halved,
 then the surface is let go around it, then further around."""
 GROWTH = 0.03
-"""Share of the triangles that may be added so."""
+"""Share of the edges that may be halved so."""
 RELEASE, LOOSEST = 0.3, 0.003
 """Factor to the shape's weight around an intruder in each later round, and the least it becomes."""
 SETTLED = (0.55, 0.9)
@@ -82,11 +82,11 @@ def conform(
     ``stored`` says. Raises NumericalFailure when a value is not finite.
     """
     number, begin, damping = 0, 0, DAMPING[0]
-    most = int((1 + GROWTH) * len(spheres.triangles))
+    room = int(GROWTH * len(EdgeTable.of(spheres.triangles).ends))
     found = checkpoints.latest()
     if found is not None and found[1]["refined"].item() == stored["refined"]:
         kept = found[1]
-        spheres, most = Spheres.stored(kept), kept["most"].item()
+        spheres, room = Spheres.stored(kept), kept["room"].item()
         number, begin, damping = (kept[name].item() for name in ("round", "begin", "damping"))
         history, free = kept["history"], kept["free"].astype(bool)
     strict = {key: STRICT * leg.weights[key] for key in ("intersection", "exclusion")}
@@ -95,8 +95,8 @@ def conform(
             intruded = spheres.intruded(threads)
             if not intruded.any() or number > ROUNDS:
                 return spheres, history, number - 1
-            room = most - len(spheres.triangles)
-            spheres, free = _mended(spheres, intruded, surface, room)
+            spheres, free, halved = _mended(spheres, intruded, surface, room)
+            room -= halved
             damping = DAMPING[0]
         count = ROUND if number else leg.iterations
         weights = {**leg.weights, **strict} if number else leg.weights
@@ -108,7 +108,7 @@ def conform(
                     item.name: getattr(spheres, item.name) for item in fields(Spheres)
                 }
                 state |= {"round": number, "begin": first, "damping": damping}
-                state |= {"free": free, "history": history, "most": most, **stored}
+                state |= {"free": free, "history": history, "room": room, **stored}
                 checkpoints.save(ONWARD * stored["refined"] + before + first, state.copy)
             if not number and 2 * first < count:
                 gain = intrusion_gain if first else delaunay_gain
@@ -137,9 +137,9 @@ def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDAr
 
 def _mended(
     spheres: Spheres, intruded: NDArray[np.bool_], surface: TrueSurface, room: int
-) -> tuple[Spheres, NDArray[np.bool_]]:
-    """Spheres with better triangles, at most ``room`` more of them, and more room around the
-    intruders, and which vertices may move, ``(V,)``."""
+) -> tuple[Spheres, NDArray[np.bool_], int]:
+    """Spheres with better triangles, and more room around the intruders; which vertices may move,
+    ``(V,)``; and how many edges were halved, ``room`` at the most."""
     triangles = spheres.triangles
     wrong = intruded.copy()
     wrong[triangles[astray(spheres.as_mesh(), surface)]] = True
@@ -148,7 +148,7 @@ def _mended(
     crowded, old, oldest = (wrong & (age > rounds) for rounds in PATIENCE)
     loose = rings_around(triangles, old, 1) | rings_around(triangles, oldest, 2)
     less = np.minimum(spheres.hold, np.maximum(RELEASE * spheres.hold, LOOSEST))
-    if room > 1:
+    if room > 0:
         # Where there is more room, it has its time again.
         age = np.where(rings_around(triangles, crowded, 1), 0.0, age)
     mesh = replace(spheres, hold=np.where(loose, less, spheres.hold), age=age).as_mesh()
@@ -156,8 +156,7 @@ def _mended(
     mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
     if old.any():
         part(mesh, rings_around(triangles, old, RINGS))
-    if crowded.any():
-        divide(mesh, rings_around(triangles, crowded, 1), room // 2)
+    halved = divide(mesh, rings_around(triangles, crowded, 1), room) if crowded.any() else 0
     contract_short(mesh, SHORT, mesh.carried[:, -2] > 0)
     unfold(mesh, surface)
     near, free = (mesh.carried[:, -2:] > 0).T
@@ -166,7 +165,7 @@ def _mended(
     low, high = (limit * mesh.length for limit in SETTLED)
     radii = mesh.carried[:, 0]
     mesh.carried[:, 0] = np.where(near, np.clip(radii, low, high), radii)
-    return Spheres.of_mesh(mesh), free
+    return Spheres.of_mesh(mesh), free, halved
 
 
 def within(where: NDArray[np.bool_], gain: Gain) -> Gain:

@@ -28,8 +28,9 @@ SLACK = 0.15
 """How much further than a sphere's radius is searched, for what moves in a step."""
 RADII = (0.3, 1.3)
 """Limits of the radii, in edge lengths."""
-OFFSET = 0.5
-"""``delta_f`` below which a pair is penalised, in edge lengths."""
+OFFSET = 0.35
+"""``delta_f`` below which a pair is penalised, in edge lengths; more asks for room that thin parts
+have not."""
 MARGIN = 0.02
 """Power below which a generator that is not a sphere's own is penalised, in edge lengths
 squared; twice SAFE where that is more."""
@@ -65,6 +66,12 @@ def _on_creases(creases: Creases, spheres: Spheres) -> Rows:
         np.einsum("ij,ij->i", direction, place),
         np.full(len(vertex), 1 / max(1, len(vertex))),
     )
+
+
+def _softened(missing: Floats) -> Floats:
+    """What pairs are missing, as a logarithm from 1 on: a triangle that has no area, whose spheres
+    meet nowhere near, may not outweigh all others."""
+    return np.where(missing > 1, 1 + np.log(np.maximum(missing, 1.0)), missing)
 
 
 class SphereProblem:
@@ -132,7 +139,7 @@ class SphereProblem:
         height = np.einsum("ij,ij->i", bend, self.normal)
         return {
             "intersection": self.strict["intersection"]
-            * np.maximum(0.0, OFFSET**2 - square / self.face_length**2),
+            * _softened(np.maximum(0.0, OFFSET**2 - square / self.face_length**2)),
             "exclusion": self.strict["exclusion"]
             * np.maximum(0.0, self.margin[sphere] - power / self.length[sphere] ** 2),
             "shape": np.concatenate(
@@ -154,7 +161,10 @@ class SphereProblem:
         columns, values = conforming.square_gradient(
             pairs.centre[row], triangles[row], centres, radii
         )
-        values = values * (-self.strict["intersection"] / self.face_length[row] ** 2)[:, None]
+        # The derivative of what is softened.
+        short = OFFSET**2 - pairs.square[row] / self.face_length[row] ** 2
+        slope = -self.strict["intersection"] / np.maximum(1.0, short)
+        values = values * (slope / self.face_length[row] ** 2)[:, None]
         blocks.append(Block.dense(columns, values, residuals["intersection"][row]))
         # Generators that are to stay out of other spheres; one that stands for a missing pair
         # follows no sphere.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .edge_table import EdgeTable, Sized
+from .geometry import triangle_normals
 from .polygons import Floats, Ints
 
 FREE, CREASE, CORNER = 0, 1, 2
@@ -21,6 +22,8 @@ PARTS = 64
 """Points of an edge at which its distance from a crease is taken."""
 DENSE = 0.1
 """Distance between the points that stand for a crease, in units of h0."""
+FLAT = 0.01
+"""Height of a triangle over its longest edge below which it has no area."""
 APART = 1e5
 """What takes chains apart in the fourth dimension, in units of h0; more than any shape's size."""
 
@@ -124,6 +127,27 @@ def cut_ears(mesh: Sized) -> int:
         mesh.rank[tip] = FREE
         done += len(row)
     return done
+
+
+def give_up_flat(mesh: Sized) -> int:
+    """Take the creases from the corners of triangles between them that have no area, which nothing
+    else could give them; returns how many triangles there are."""
+    flat = (_heights(mesh) < FLAT) & (mesh.rank[mesh.triangles] > FREE).all(axis=1)
+    freed = np.unique(mesh.triangles[flat])
+    freed = freed[mesh.rank[freed] == CREASE]
+    if len(freed):
+        mesh.rank = mesh.rank.copy()
+        mesh.rank[freed] = FREE
+        mesh.creases = mesh.creases[~np.isin(mesh.creases[:, :2], freed).any(axis=1)]
+    return int(flat.sum())
+
+
+def _heights(mesh: Sized) -> Floats:
+    """Least height of each triangle, over its longest edge."""
+    corners = mesh.vertices[mesh.triangles]
+    _, area = triangle_normals(mesh.vertices, mesh.triangles)
+    longest = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
+    return np.asarray(2 * area / np.maximum(longest, np.finfo(float).tiny))
 
 
 def embed(mesh: Sized, creases: Creases) -> int:

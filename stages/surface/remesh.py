@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optimize.fitting import fit
-from .creases import CORNER, CREASE, FREE, Creases, cut_ears, drawn_on, embed
+from .creases import CORNER, CREASE, FREE, Creases, cut_ears, drawn_on, embed, give_up_flat
 from .edge_table import EdgeTable, Sized
 from .geometry import triangle_normals, vertex_normals
 from .operations import (
@@ -82,6 +82,7 @@ def remesh(
     contract_short(mesh)
     flip(mesh, smooth_only(delaunay_gain))
     flip(mesh, nearer, 2)
+    give_up_flat(mesh)
     for _ in range(FITS):
         fit(mesh, surface)
     flip(mesh, delaunay)
