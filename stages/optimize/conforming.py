@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 LEG = 5
 """Steps between flips of edges, searches for closest points, and checkpoints."""
-ROUNDS, ROUND = 24, 10
+ROUNDS, ROUND = 32, 10
 """The most rounds of repair, and the steps of one."""
 STRICT = 4.0
 """Factor to the weights of what conformity needs in the rounds of repair."""
 PATIENCE = 2, 3, 5
 """Rounds in which only edges are contracted and flipped, before those at an intruder are halved,
 then the surface is let go around it, then further around."""
-GROWTH = 0.03
+GROWTH = 0.01
 """Share of the edges that may be halved so."""
 RELEASE, LOOSEST = 0.3, 0.003
 """Factor to the shape's weight around an intruder in each later round, and the least it becomes."""

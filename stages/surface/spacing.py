@@ -15,8 +15,12 @@ from .remesh import remesh
 from .sizing import THINNEST, LengthField, evened, limits
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ..sources.true_surface import TrueSurface
     from .creases import Creases
+
+    Count = Callable[[Floats], float]
 
 CELL = np.sqrt(3) / 4
 """Area of a triangle over its squared edge length."""
@@ -77,11 +81,13 @@ def spaced(
     if not spacing.varied:
         return mesh, remesh(mesh, field, surface, creases)
     wanted = np.full(len(points), base)
-    faces = spacing.faces or _count(mesh, field, field.graded(np.clip(most, shortest, base)))
+    even = field.graded(np.clip(most, shortest, base))
+    faces = spacing.faces or _counting(mesh, field)(even)
     ratio = 1.0
     for look in range(LOOKS + 2):
-        field.lengths = _fitted(mesh, field, wanted, most, (shortest, longest), faces / ratio)
-        expected = _count(mesh, field, field.lengths)
+        count = _counting(mesh, field)
+        field.lengths = _fitted(count, field, wanted, most, (shortest, longest), faces / ratio)
+        expected = count(field.lengths)
         missed = remesh(mesh, field, surface, creases, *([LATER, 1] if look else []))
         if look >= LOOKS and abs(len(mesh.triangles) / faces - 1) < NEAR:
             break
@@ -94,7 +100,7 @@ def spaced(
 
 
 def _fitted(
-    mesh: Sized, field: LengthField, wanted: Floats, most: Floats,
+    count: Count, field: LengthField, wanted: Floats, most: Floats,
     between: tuple[float, float], faces: float,
 ) -> Floats:  # fmt: skip
     """Graded lengths in proportion to ``wanted (N,)`` and no larger than ``most (N,)``, of about
@@ -105,22 +111,27 @@ def _fitted(
 
     low, high = between[0] / wanted.max(), between[1] / wanted.min()
     thin = [1.0, 1.0]
-    if _count(mesh, field, scaled(high, 1.0)) > faces:
+    if count(scaled(high, 1.0)) > faces:
         low, thin = high, [1.0, THINNER]
     for _ in range(HALVINGS):
         factor, thinner = np.sqrt(low * high), np.sqrt(thin[0] * thin[1])
-        if _count(mesh, field, scaled(factor, thinner)) > faces:
+        if count(scaled(factor, thinner)) > faces:
             low, thin[0] = factor, thinner
         else:
             high, thin[1] = factor, thinner
     return scaled(high, thin[1])
 
 
-def _count(mesh: Sized, field: LengthField, lengths: Floats) -> float:
-    """How many triangles the surface of ``mesh`` has with ``lengths`` at the field's points."""
-    middle = mesh.vertices[mesh.triangles].mean(axis=1)
+def _counting(mesh: Sized, field: LengthField) -> Count:
+    """What tells how many triangles the surface of ``mesh`` has with lengths at the field's
+    points."""
+    near = field.nearest(mesh.vertices[mesh.triangles].mean(axis=1))
     _, areas = triangle_normals(mesh.vertices, mesh.triangles)
-    return float((areas / (CELL * lengths[field.nearest(middle)] ** 2)).sum())
+
+    def count(lengths: Floats) -> float:
+        return float((areas / (CELL * lengths[near] ** 2)).sum())
+
+    return count
 
 
 def _nearest(vertices: Floats, points: Floats) -> Ints:
