@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.edge_table import EdgeTable, Sized
-from ..surface.operations import Gain, contract_short, delaunay_gain, divide, flip
+from ..surface.operations import Gain, contract_short, delaunay_gain, flip
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import astray, keeping, unfold
 from ..surface.sheets import part
@@ -30,15 +30,12 @@ if TYPE_CHECKING:
 
 LEG = 5
 """Steps between flips of edges, searches for closest points, and checkpoints."""
-ROUNDS, ROUND = 32, 10
+ROUNDS, ROUND = 24, 10
 """The most rounds of repair, and the steps of one."""
 STRICT = 4.0
 """Factor to the weights of what conformity needs in the rounds of repair."""
-PATIENCE = 2, 3, 5
-"""Rounds in which only edges are contracted and flipped, before those at an intruder are halved,
-then the surface is let go around it, then further around."""
-GROWTH = 0.01
-"""Share of the edges that may be halved so."""
+PATIENCE = 2
+"""Rounds in which only edges are contracted and flipped, before the surface is let go."""
 RELEASE, LOOSEST = 0.3, 0.003
 """Factor to the shape's weight around an intruder in each later round, and the least it becomes."""
 SETTLED = (0.55, 0.9)
@@ -82,11 +79,10 @@ def conform(
     ``stored`` says. Raises NumericalFailure when a value is not finite.
     """
     number, begin, damping = 0, 0, DAMPING[0]
-    room = int(GROWTH * len(EdgeTable.of(spheres.triangles).ends))
     found = checkpoints.latest()
     if found is not None and found[1]["refined"].item() == stored["refined"]:
         kept = found[1]
-        spheres, room = Spheres.stored(kept), kept["room"].item()
+        spheres = Spheres.stored(kept)
         number, begin, damping = (kept[name].item() for name in ("round", "begin", "damping"))
         history, free = kept["history"], kept["free"].astype(bool)
     strict = {key: STRICT * leg.weights[key] for key in ("intersection", "exclusion")}
@@ -95,8 +91,7 @@ def conform(
             intruded = spheres.intruded(threads)
             if not intruded.any() or number > ROUNDS:
                 return spheres, history, number - 1
-            spheres, free, halved = _mended(spheres, intruded, surface, room)
-            room -= halved
+            spheres, free = _mended(spheres, intruded, surface)
             damping = DAMPING[0]
         count = ROUND if number else leg.iterations
         weights = {**leg.weights, **strict} if number else leg.weights
@@ -108,7 +103,7 @@ def conform(
                     item.name: getattr(spheres, item.name) for item in fields(Spheres)
                 }
                 state |= {"round": number, "begin": first, "damping": damping}
-                state |= {"free": free, "history": history, "room": room, **stored}
+                state |= {"free": free, "history": history, **stored}
                 checkpoints.save(ONWARD * stored["refined"] + before + first, state.copy)
             if not number and 2 * first < count:
                 gain = intrusion_gain if first else delaunay_gain
@@ -136,28 +131,24 @@ def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDAr
 
 
 def _mended(
-    spheres: Spheres, intruded: NDArray[np.bool_], surface: TrueSurface, room: int
-) -> tuple[Spheres, NDArray[np.bool_], int]:
-    """Spheres with better triangles, and more room around the intruders; which vertices may move,
-    ``(V,)``; and how many edges were halved, ``room`` at the most."""
+    spheres: Spheres, intruded: NDArray[np.bool_], surface: TrueSurface
+) -> tuple[Spheres, NDArray[np.bool_]]:
+    """Spheres with better triangles, and more room around the intruders, and which vertices may
+    move, ``(V,)``."""
     triangles = spheres.triangles
     wrong = intruded.copy()
     wrong[triangles[astray(spheres.as_mesh(), surface)]] = True
     near = rings_around(triangles, wrong, 1)
     age = spheres.age + near
-    crowded, old, oldest = (wrong & (age > rounds) for rounds in PATIENCE)
+    old, oldest = (wrong & (age > patience) for patience in (PATIENCE, 2 * PATIENCE))
     loose = rings_around(triangles, old, 1) | rings_around(triangles, oldest, 2)
     less = np.minimum(spheres.hold, np.maximum(RELEASE * spheres.hold, LOOSEST))
-    if room > 0:
-        # Where there is more room, it has its time again.
-        age = np.where(rings_around(triangles, crowded, 1), 0.0, age)
     mesh = replace(spheres, hold=np.where(loose, less, spheres.hold), age=age).as_mesh()
     free = rings_around(triangles, wrong, RINGS) | rings_around(triangles, old, 2 * RINGS)
     mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
     if old.any():
         part(mesh, rings_around(triangles, old, RINGS))
-    halved = divide(mesh, rings_around(triangles, crowded, 1), room) if crowded.any() else 0
-    contract_short(mesh, SHORT, mesh.carried[:, -2] > 0)
+    contract_short(mesh, SHORT, near)
     unfold(mesh, surface)
     near, free = (mesh.carried[:, -2:] > 0).T
     flip(mesh, within(near, keeping(surface, intrusion_gain)))
@@ -165,7 +156,7 @@ def _mended(
     low, high = (limit * mesh.length for limit in SETTLED)
     radii = mesh.carried[:, 0]
     mesh.carried[:, 0] = np.where(near, np.clip(radii, low, high), radii)
-    return Spheres.of_mesh(mesh), free, halved
+    return Spheres.of_mesh(mesh), free
 
 
 def within(where: NDArray[np.bool_], gain: Gain) -> Gain:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..losses import conforming
 from ..surface.edge_table import EdgeTable, Sized
+from ..surface.geometry import limited
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.spheres import near_pairs
 
@@ -62,9 +63,17 @@ class Spheres:
         return conforming.radical_pairs(self.centres, self.radii, self.triangles)
 
     def generators(self) -> tuple[Floats, Floats]:
-        """Generators ``(2F, 3)``, outer ones first, and delta^2 ``(F,)``."""
-        pairs = self.pairs()
-        return pairs.points((SMALLEST * self.face_lengths) ** 2), pairs.square
+        """Generators ``(2F, 3)``, outer ones first, and delta^2 ``(F,)``.
+
+        What stands for a missing pair stays near its triangle, however far its spheres are from
+        meeting: the diagram has to be bounded.
+        """
+        pairs, floor = self.pairs(), (SMALLEST * self.face_lengths) ** 2
+        middle = self.centres[self.triangles].mean(axis=1)
+        near = middle + limited(pairs.centre - middle, self.face_lengths)
+        missing = pairs.square <= floor
+        pairs = replace(pairs, centre=np.where(missing[:, None], near, pairs.centre))
+        return pairs.points(floor), pairs.square
 
     def intruded(self, threads: int) -> NDArray[np.bool_]:
         """Vertices whose sphere holds a generator not its own, or a triangle without a pair."""

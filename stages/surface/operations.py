@@ -17,8 +17,6 @@ from .polygons import Floats, Ints
 
 LONGEST, SHORTEST = 4 / 3, 4 / 5
 """Edges longer or shorter than these multiples of the target length are split or contracted."""
-HALVED = 0.8
-"""Share of its target length from which on an edge is halved where there are to be more."""
 PASSES = 8
 """Rounds of independent edges in one sweep of an operation."""
 STRETCH = 1.05
@@ -73,20 +71,6 @@ def split_long(mesh: Sized, factor: float = LONGEST, most: float = np.inf) -> in
             np.concatenate([values, 0.5 * (values[a] + values[b])])
             for values in (mesh.vertices, mesh.length, mesh.carried)
         )
-    return done
-
-
-def divide(mesh: Sized, where: NDArray[np.bool_], most: int) -> int:
-    """Halve edges between vertices ``where (V,)`` that are about as long as they are to be, or
-    longer, ``most`` of them at the most; returns how many. Target lengths stay."""
-    table, length = EdgeTable.of(mesh.triangles), mesh.length
-    # Elsewhere no edge is too long.
-    longest = np.zeros(len(length))
-    np.maximum.at(longest, table.ends, table.lengths(mesh.vertices)[:, None])
-    mesh.carried = np.concatenate([mesh.carried, length[:, None]], axis=1)
-    mesh.length = np.where(where, HALVED * length, np.maximum(longest, length))
-    done = split_long(mesh, 1.0, max(0, most))
-    mesh.carried, mesh.length = mesh.carried[:, :-1], mesh.carried[:, -1]
     return done
 
 
