@@ -57,7 +57,7 @@ def row(shape: str, n: int, size: int) -> list[np.ndarray]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("shapes", nargs="+", help="mesh files or names of built-in fields")
-    parser.add_argument("-n", type=int, default=15)
+    parser.add_argument("-n", type=int, default=12)
     parser.add_argument("--size", type=int, default=420)
     parser.add_argument("--output", type=Path, default=Path("edges.png"))
     given = parser.parse_args()
