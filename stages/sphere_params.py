@@ -12,8 +12,6 @@ from .errors import UsageError
 if TYPE_CHECKING:
     from .surface.spacing import Spacing
 
-CREASE_ANGLE = 40.0
-"""Degrees from which on edges of an input are creases, unless said otherwise."""
 DEFAULTS: dict[str, dict[str, float]] = {
     "triangle": {
         "edge_length": 0.55,
@@ -127,8 +125,12 @@ class Params(contract.Params):
     @property
     def angle(self) -> float | None:
         """Degrees from which on an edge of the input is a crease. Raises UsageError."""
-        if self.sharp in ("auto", "off"):
-            return CREASE_ANGLE if self.sharp == "auto" else None
+        if self.sharp == "off":
+            return None
+        if self.sharp == "auto":
+            from .sources.creases import ANGLE
+
+            return ANGLE
         try:
             angle = float(self.sharp)
         except ValueError:

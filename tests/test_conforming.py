@@ -108,6 +108,42 @@ def test_derivatives_of_polygons_against_finite_differences(tmp_path: Path) -> N
     assert_derivatives(problem, state)
 
 
+def squeezed(height: float) -> Spheres:
+    """A ball with a vertex ``height`` beside the middle of an edge opposite, or on it."""
+    vertices, triangles = sphere_mesh(1.0, 1)
+    a, b, c = triangles[0]
+    vertices = vertices.copy()
+    middle = 0.5 * (vertices[b] + vertices[c])
+    vertices[a] = middle + height * (vertices[a] - middle)
+    return Spheres.at(Sized(vertices, triangles, np.ones(len(vertices))))
+
+
+WEIGHTS = {"intersection": 30.0, "exclusion": 30.0, "shape": 100.0, "normal": 0.0, "smooth": 0.02,
+           "radius": 0.02}  # fmt: skip
+
+
+def test_pairs_that_are_far_from_existing_have_derivatives(tmp_path: Path) -> None:
+    spheres = squeezed(0.15)
+    surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.0, 3))
+    weights = dict.fromkeys(WEIGHTS, 0.0) | {"intersection": 3.0}
+    problem = SphereProblem(spheres, surface, None, weights, np.ones(42, bool), 1)
+    problem.prepare(spheres, 1.0)
+    assert problem.residuals(spheres)["intersection"].max() > 1.2 * np.sqrt(3.0)
+    assert_derivatives(problem, spheres)
+
+
+def test_a_triangle_without_area_stalls_nothing(tmp_path: Path) -> None:
+    spheres = squeezed(0.0)
+    surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.0, 3))
+    points, square = spheres.generators()
+    assert square.min() < -100
+    assert np.linalg.norm(points, axis=1).max() < 3  # the diagram has to be bounded
+    problem = SphereProblem(spheres, surface, None, WEIGHTS, np.ones(42, bool), 1)
+    _, losses, damping = descend(problem, spheres, [1.0] * 6, 1e-2)
+    assert losses[-1].sum() < 0.5 * losses[0].sum()
+    assert damping < 1
+
+
 def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
     centres = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 3, 0]])
     columns, values = conforming.power_gradient(

@@ -22,6 +22,7 @@ from vorolight.stages.surface.creases import (
     cut_ears,
     deviation,
     embed,
+    give_up_flat,
 )
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
 from vorolight.stages.surface.geometry import triangle_normals
@@ -150,6 +151,28 @@ def test_a_crease_around_a_triangle_goes_along_its_third_edge() -> None:
     assert mesh.creases[:, 2].tolist() == [5]
     assert mesh.rank[b] == 0
     assert cut_ears(mesh) == 0
+
+
+def test_a_flat_triangle_between_creases_gives_them_up() -> None:
+    vertices, triangles = cube(6.0)
+    creases = Creases(of_triangles(vertices, triangles, 40.0))
+    mesh = Sized(vertices.copy(), triangles, np.full(len(vertices), 0.7))
+    assert embed(mesh, creases) == 0
+    assert give_up_flat(mesh) == 0
+    before = len(mesh.creases)
+    # An edge on a crease, and the corner opposite drawn onto it.
+    side = next(
+        np.roll(one, -k) for one in mesh.triangles for k in range(3)
+        if mesh.on_crease(np.roll(one, -k)[None, :2])[0] and mesh.rank[np.roll(one, -k)[2]] == 0
+        and (mesh.rank[np.roll(one, -k)[:2]] == CREASE).all()
+    )  # fmt: skip
+    mesh.vertices[side[2]] = mesh.vertices[side[:2]].mean(axis=0)
+    mesh.rank[side[2]] = CREASE
+    assert give_up_flat(mesh) >= 1
+    assert len(mesh.creases) < before
+    assert (mesh.rank[side] == 0).all()
+    degree = np.bincount(mesh.creases[:, :2].reshape(-1), minlength=len(mesh.vertices))
+    assert (degree[mesh.rank == CREASE] > 0).all()
 
 
 def test_a_crease_that_no_edges_can_follow_is_counted() -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..sources.creases import found
+from ..sources.creases import ANGLE, found
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edge_keys
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from ..sources.protocol import Source
     from ..surface.model_frame import ModelFrame
 
-CREASE = 40.0
-"""Degrees by which a reference turns at a crease; the training's own measure."""
 SHARP = 30.0
-"""Degrees by which a surface turns at a sharp edge. Less than CREASE: a crease that turns by just
+"""Degrees by which a surface turns at a sharp edge. Less than ANGLE: a crease that turns by just
 that is flattened a little by triangles that are not quite on both its sides. Where a crease fades
 out, what turns by 30 to 40 degrees thus counts against the precision, that of the reference's own
 edges too."""
@@ -114,7 +112,7 @@ class Segments:
 
 def of_reference(source: Source, frame: ModelFrame) -> Segments | None:
     """The creases of a mesh or field in its own units; None if it has none, or is neither."""
-    chains = found(source, frame, CREASE)
+    chains = found(source, frame, ANGLE)
     if not chains:
         return None
     counts = np.array([len(chain.points) for chain in chains])
@@ -174,6 +172,6 @@ def agreement(
         crease_length=creases.length / longest,
         sharp_length=0.0 if edges is None else edges.length / longest,
         tolerance=TOLERANCE,
-        crease_angle=CREASE,
+        crease_angle=ANGLE,
         sharp_angle=SHARP,
     )

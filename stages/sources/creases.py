@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..surface.model_frame import ModelFrame
     from .protocol import Source
 
+ANGLE = 40.0
+"""Degrees from which on edges of an input are creases, unless said otherwise."""
 DETAIL = 1.0
 """In units of h0: connected creases whose chains are mostly shorter are detail or noise."""
 TURN = 0.5

@@ -139,6 +139,7 @@ def give_up_flat(mesh: Sized) -> int:
         mesh.rank = mesh.rank.copy()
         mesh.rank[freed] = FREE
         mesh.creases = mesh.creases[~np.isin(mesh.creases[:, :2], freed).any(axis=1)]
+        mesh.rank[(mesh.rank == CREASE) & (mesh.chains() < 0)] = FREE
     return int(flat.sum())
 
 

@@ -24,7 +24,8 @@ GRADATION = 0.35
 """How much the target length may grow per length."""
 NEIGHBOURS = 8
 MOST_PAIRS = 2e7
-"""Of points that are looked at for sheets opposite; the reach is less where there would be more."""
+"""Of points that are looked at for sheets and creases opposite; the reach is less where there would
+be more."""
 EVEN = 1 / 6
 """The squared error over a triangle grows with the sixth power of its edge length, and the sum over
 a number of triangles is least where each has the same."""
@@ -38,13 +39,8 @@ def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
     ``points, normals (N, 3)`` sample a surface. Sheets further than ``limit`` are not seen: the
     value there is infinity.
     """
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(points)
     result = np.full(len(points), np.inf)
-    while tree.count_neighbors(tree, limit) > MOST_PAIRS:
-        limit *= 0.8
-    pairs: Any = tree.query_pairs(limit, output_type="ndarray")
+    pairs = _pairs(points, limit)
     if len(pairs) == 0:
         return result
     facing = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) < OPPOSITE
@@ -62,10 +58,8 @@ def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
 def separation(points: Floats, tangents: Floats, limit: float) -> Floats:
     """Distance ``(N,)`` from each point of a crease to the next crease, or the other side of its
     own, across; infinity beyond ``limit``. ``points, tangents (N, 3)`` sample the creases."""
-    from scipy.spatial import cKDTree
-
     result = np.full(len(points), np.inf)
-    pairs: Any = cKDTree(points).query_pairs(limit, output_type="ndarray")
+    pairs = _pairs(points, limit)
     if len(pairs) == 0:
         return result
     way = points[pairs[:, 1]] - points[pairs[:, 0]]
@@ -77,6 +71,16 @@ def separation(points: Floats, tangents: Floats, limit: float) -> Floats:
     for side in range(2):
         np.minimum.at(result, pairs[across, side], distance[across])
     return result
+
+
+def _pairs(points: Floats, limit: float) -> Ints:
+    """Pairs ``(K, 2)`` of points within ``limit``, or within less where that were too many."""
+    from scipy.spatial import cKDTree
+
+    tree: Any = cKDTree(points)
+    while tree.count_neighbors(tree, limit) > MOST_PAIRS:
+        limit *= 0.8
+    return np.asarray(tree.query_pairs(limit, output_type="ndarray"))
 
 
 class LengthField:
