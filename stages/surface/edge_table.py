@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -69,6 +70,8 @@ class Sized:
     """0 for a vertex that is free, 1 on a crease, 2 at a corner, ``(V,)``."""
     creases: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     """The edges that lie on creases: their ends and the number of their chain, ``(K, 3)``."""
+    metric: Callable[[Floats], Floats] | None = None
+    """The metric ``(N, 3, 3)`` at points in which edges are to have their target lengths."""
 
     def __post_init__(self) -> None:
         if len(self.rank) != len(self.vertices):
@@ -89,4 +92,13 @@ class Sized:
         return number
 
     def edge_target(self, ends: Ints) -> Floats:
-        return np.asarray(self.length[ends].mean(axis=1))
+        """The lengths ``(E,)`` that edges of these directions are to have."""
+        target = np.asarray(self.length[ends].mean(axis=1))
+        if self.metric is None:
+            return target
+        start, end = self.vertices[ends[:, 0]], self.vertices[ends[:, 1]]
+        way = end - start
+        square = np.einsum("ij,ij->i", way, way)
+        measured = np.einsum("ei,eij,ej->e", way, self.metric(0.5 * (start + end)), way)
+        stretch = np.sqrt(square / np.maximum(measured, np.finfo(float).tiny))
+        return np.where(square > 0, target * stretch, target)

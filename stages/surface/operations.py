@@ -191,13 +191,19 @@ def valence_gain(mesh: Sized, table: EdgeTable) -> Floats:
 
 
 def delaunay_gain(mesh: Sized, table: EdgeTable) -> Floats:
-    """Sum of the two angles opposite an edge, less pi."""
+    """Sum of the two angles opposite an edge, in the metric if there is one, less pi."""
     total = np.full(len(table.ends), -np.pi - 1e-9)
+    measure = np.eye(3)[None]
+    if mesh.metric is not None:
+        measure = mesh.metric(mesh.vertices[table.ends].mean(axis=1))
     for side in range(2):
         apex = mesh.vertices[table.opposite[:, side]]
         u, v = (mesh.vertices[table.ends[:, k]] - apex for k in range(2))
-        sine = np.linalg.norm(np.cross(u, v), axis=1)
-        total += np.arctan2(sine, np.einsum("ij,ij->i", u, v))
+        uu, uv, vv = (
+            np.einsum("...i,...ij,...j->...", one, measure, other)
+            for one, other in ((u, u), (u, v), (v, v))
+        )
+        total += np.arctan2(np.sqrt(np.maximum(uu * vv - uv * uv, 0.0)), uv)
     return total
 
 
@@ -282,8 +288,8 @@ def _may_contract(mesh: Sized, table: EdgeTable, chosen: Ints, place: Floats) ->
     touched = np.flatnonzero((hit >= 0).sum(axis=1) == 1)
     which = hit[touched].max(axis=1)
     triangles = mesh.triangles[touched]
-    target = mesh.length[triangles]
-    target = 0.5 * (target + target[:, [1, 2, 0]])
+    edges = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=2).reshape(-1, 2)
+    target = mesh.edge_target(edges).reshape(-1, 3)
     now, area = triangle_normals(mesh.vertices, triangles)
     then, _ = triangle_normals(moved, triangles)
     turned = np.einsum("ij,ij->i", now, then) < TURN

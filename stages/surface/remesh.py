@@ -70,7 +70,7 @@ def remesh(
         cut_ears(mesh)
         split_long(mesh)
         contract_short(mesh)
-        flip(mesh, valence)
+        flip(mesh, valence if mesh.metric is None else delaunay)
         flip(mesh, nearer, 2)
         relax(mesh, STEP if iteration < iterations - LAST else LAST_STEP)
         fit(mesh, surface)

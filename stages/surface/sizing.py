@@ -97,6 +97,8 @@ class LengthField:
             GRADATION * distance.reshape(-1),
         )
         self.lengths = self.graded(lengths)
+        self.metrics: Floats | None = None
+        """At the points ``(N, 3, 3)``: what lengths are measured in."""
 
     def graded(self, lengths: Floats) -> Floats:
         """The largest lengths below ``lengths`` that grow by GRADATION at the most."""
@@ -111,6 +113,10 @@ class LengthField:
 
     def __call__(self, points: Floats) -> Floats:
         return np.asarray(self.lengths[self.nearest(points)])
+
+    def metric(self, points: Floats) -> Floats:
+        assert self.metrics is not None
+        return np.asarray(self.metrics[self.nearest(points)])
 
     def nearest(self, points: Floats) -> Ints:
         return np.asarray(self.tree.query(points)[1])

@@ -13,6 +13,7 @@ from .geometry import triangle_normals
 from .polygons import Floats, Ints
 from .remesh import remesh
 from .sizing import THINNEST, LengthField, evened, limits
+from .stretching import metrics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +32,7 @@ FINEST, COARSEST = 0.25, 4.0
 THIN = 0.8
 """Edge of a triangle over the thickness that it still resolves, of varied lengths: these are short
 already where a thin part is curved."""
-LOOKS, LATER = 3, 6
+LOOKS, LATER = 3, 12
 """How often the errors are looked at, and the iterations of remeshing after each look."""
 NEAR = 0.02
 """Share of the triangles by which they may be missed before the lengths are scaled once more."""
@@ -65,7 +66,8 @@ def spaced(
     """The closed surface remeshed as ``spacing`` asks, and how many creases no edges follow.
 
     Varied lengths are found by looking at the errors of a triangulation: they stand for the
-    curvature that its triangles cannot follow.
+    curvature that its triangles cannot follow. Its own directions are those along which triangles
+    become longer, and across which shorter.
     """
     base, smallest, largest, thinnest = spacing.length, SMALLEST, 1.0, THINNEST
     if spacing.varied:
@@ -96,6 +98,8 @@ def spaced(
             errors, _ = vertex_errors(surface, mesh.vertices, mesh.triangles)
             near = _nearest(mesh.vertices, points)
             wanted = evened(field.lengths, errors[near])
+            field.metrics = metrics(mesh)[near]
+            mesh.metric = field.metric
     return mesh, missed
 
 
