@@ -261,7 +261,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=8,
+    version=9,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..sources.creases import ANGLE, found
+from ..sources.creases import ANGLE, exact
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edge_keys
@@ -112,7 +112,7 @@ class Segments:
 
 def of_reference(source: Source, frame: ModelFrame) -> Segments | None:
     """The creases of a mesh or field in its own units; None if it has none, or is neither."""
-    chains = found(source, frame, ANGLE)
+    chains = exact(source, frame, ANGLE)
     if not chains:
         return None
     counts = np.array([len(chain.points) for chain in chains])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surface.creases import give_up
 from ..surface.edge_table import EdgeTable, Sized
 from ..surface.operations import Gain, contract_short, delaunay_gain, flip
 from ..surface.polygons import Floats, Ints
@@ -73,7 +74,8 @@ def conform(
     """Train ``spheres``, those that are ``free (V,)``, then repair what does not conform.
 
     In a round of repair short edges around the intruders are contracted, and where that does not
-    help the pull to the true surface is let go by and by, until there is room for the spheres.
+    help the pull to the true surface is let go by and by, until there is room for the spheres, and
+    so are creases.
     Returns the spheres, the ``history (iterations, 4)`` with the losses before the repair and the
     number of rounds. Goes on from the last checkpoint if that has been ``refined`` as often as
     ``stored`` says. Raises NumericalFailure when a value is not finite.
@@ -144,6 +146,7 @@ def _mended(
     loose = rings_around(triangles, old, 1) | rings_around(triangles, oldest, 2)
     less = np.minimum(spheres.hold, np.maximum(RELEASE * spheres.hold, LOOSEST))
     mesh = replace(spheres, hold=np.where(loose, less, spheres.hold), age=age).as_mesh()
+    give_up(mesh, np.flatnonzero(rings_around(triangles, oldest, 1)))
     free = rings_around(triangles, wrong, RINGS) | rings_around(triangles, old, 2 * RINGS)
     mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
     if old.any():

@@ -113,7 +113,7 @@ def train_triangles(
         # What follows keeps the topology that it starts with.
         first = context.source().manifold()
     first = first.with_vertices(frame.model_from_input(first.vertices))
-    chains = [] if angle is None else creases_found(context.source(), frame, angle)
+    chains = [] if angle is None else creases_found(context.source(), surface, frame, angle)
     creases = Creases(chains) if chains else None
     found = context.checkpoints.latest()
     if found is None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..surface.geometry import triangle_normals
 from ..surface.polygons import Floats, Ints
@@ -22,37 +26,77 @@ FLAT = 0.05
 """Eigenvalues of the planes of a cell below this share of the largest give no direction."""
 
 
+@dataclass(frozen=True)
+class Crossings:
+    """Where a surface crosses the edges of a grid."""
+
+    cell: Ints
+    """The four cells around each edge ``(N, 4)``."""
+    quad: Ints
+    """The same, in the order in which their vertices make a face that looks outward."""
+    at: Floats
+    normal: Floats
+    """Points and unit normals, ``(N, 3)`` both."""
+
+
 def contoured(source: FieldSource, frame: ModelFrame) -> tuple[Floats, Ints]:
     """Vertices in model units and triangles, facing outward, of the zero set of ``source``."""
     box = frame.model_from_input(np.asarray(source.bounding_box(), dtype=float))
-    low = box.min(axis=0) - AROUND * STEP
-    size = np.ceil((box.max(axis=0) - low) / STEP).astype(int) + AROUND + 1
+
+    def crossed(start: Floats, way: Floats) -> tuple[Floats, Floats]:
+        at = _crossing(source, frame, start, way)
+        _, slope = source.gradient(frame.input_from_model(at))
+        return at, slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
+
+    inside = partial(_inside, source, frame)
+    return triangulated(crossings(inside, crossed, box, STEP), STEP)
+
+
+def crossings(
+    inside: Callable[[Floats], NDArray[np.bool_]],
+    crossed: Callable[[Floats, Floats], tuple[Floats, Floats]],
+    box: Floats,
+    step: float,
+) -> Crossings:
+    """The crossings of the surface in ``box (2, 3)`` with a grid of edges ``step`` long.
+
+    ``inside`` says of points whether they are, ``crossed(start, way)`` where the surface crosses
+    the ways from ``start``, and its normals there.
+    """
+    low = box.min(axis=0) - AROUND * step
+    size = np.ceil((box.max(axis=0) - low) / step).astype(int) + AROUND + 1
     index = np.stack(np.meshgrid(*(np.arange(s) for s in size), indexing="ij"), axis=-1)
     # Off the lattice that the shape itself may lie on.
-    origin = low - STEP * np.array([0.317, 0.211, 0.123])
-    inside = _values(source, frame, origin + STEP * index.reshape(-1, 3)).reshape(size) < 0
-    cells, crossings, normals, quads = [], [], [], []
+    origin = low - step * np.array([0.317, 0.211, 0.123])
+    within = inside(origin + step * index.reshape(-1, 3)).reshape(size)
+    quads, cells, starts, ways = [], [], [], []
     strides = np.array([size[1] * size[2], size[2], 1])
     for axis in range(3):
-        here = np.moveaxis(inside, axis, 0)
+        here = np.moveaxis(within, axis, 0)
         start = np.stack(np.nonzero(here[:-1] != here[1:]), axis=1)
         start = np.insert(start[:, 1:], axis, start[:, 0], axis=1)
-        way = np.eye(3)[axis] * STEP
-        at = _crossing(source, frame, origin + STEP * start, way)
-        _, slope = source.gradient(frame.input_from_model(at))
-        slope = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
         u, v = np.eye(3, dtype=int)[(axis + 1) % 3], np.eye(3, dtype=int)[(axis + 2) % 3]
         around = np.stack([start, start - u, start - u - v, start - v], axis=1) @ strides
-        leaving = inside[tuple(start.T)]
+        leaving = within[tuple(start.T)]
         quads.append(np.where(leaving[:, None], around, around[:, ::-1]))
         cells.append(around)
-        crossings.append(at)
-        normals.append(slope)
-    cell, at = np.concatenate(cells), np.concatenate(crossings)
-    normal, quad = np.concatenate(normals), np.concatenate(quads)
-    used, number = np.unique(cell.reshape(-1), return_inverse=True)
-    places = _vertices(number.reshape(-1), np.repeat(at, 4, axis=0), np.repeat(normal, 4, axis=0))
-    return places, _halved(places, np.searchsorted(used, quad), normal)
+        starts.append(origin + step * start)
+        ways.append(np.broadcast_to(np.eye(3)[axis] * step, start.shape))
+    at, normal = crossed(np.concatenate(starts), np.concatenate(ways))
+    return Crossings(np.concatenate(cells), np.concatenate(quads), at, normal)
+
+
+def triangulated(found: Crossings, step: float) -> tuple[Floats, Ints]:
+    """Vertices, one in each cell, and triangles between those of the cells around an edge."""
+    used, number = np.unique(found.cell.reshape(-1), return_inverse=True)
+    places = _vertices(
+        number.reshape(-1), np.repeat(found.at, 4, axis=0), np.repeat(found.normal, 4, axis=0), step
+    )
+    return places, _halved(places, np.searchsorted(used, found.quad), found.normal)
+
+
+def _inside(source: FieldSource, frame: ModelFrame, points: Floats) -> NDArray[np.bool_]:
+    return _values(source, frame, points) < 0
 
 
 def _values(source: FieldSource, frame: ModelFrame, points: Floats) -> Floats:
@@ -73,7 +117,7 @@ def _crossing(source: FieldSource, frame: ModelFrame, start: Floats, way: Floats
     return np.asarray(start + (0.5 * (low + high))[:, None] * way)
 
 
-def _vertices(cell: Ints, at: Floats, normal: Floats) -> Floats:
+def _vertices(cell: Ints, at: Floats, normal: Floats, step: float) -> Floats:
     """For each cell the point nearest to the planes through its crossings, ``(C, 3)``."""
     count = int(cell.max()) + 1
     many = np.bincount(cell, minlength=count)
@@ -90,7 +134,7 @@ def _vertices(cell: Ints, at: Floats, normal: Floats) -> Floats:
     along = np.where(keep, along / np.where(keep, value, 1.0), 0.0)
     move = np.einsum("cij,cj->ci", vector, along)
     length = np.linalg.norm(move, axis=1, keepdims=True)
-    return np.asarray(mean + move * np.minimum(1.0, STEP / np.maximum(length, 1e-300)))
+    return np.asarray(mean + move * np.minimum(1.0, step / np.maximum(length, 1e-300)))
 
 
 def _halved(places: Floats, quad: Ints, normal: Floats) -> Ints:

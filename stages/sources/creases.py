@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.creases import Chain
+from ..surface.creases import Chain, Creases
 from ..surface.geometry import triangle_normals
 from ..surface.polygons import Floats, Ints
 
 if TYPE_CHECKING:
     from ..surface.model_frame import ModelFrame
+    from .fields import FieldSource
     from .protocol import Source
+    from .true_surface import TrueSurface
 
 ANGLE = 40.0
 """Degrees from which on edges of an input are creases, unless said otherwise."""
@@ -21,26 +23,80 @@ DETAIL = 1.0
 """In units of h0: connected creases whose chains are mostly shorter are detail or noise."""
 TURN = 0.5
 """Cosine below which a crease turns a corner."""
+ON = 0.01
+"""Distance of a crease from the zero set in units of h0 up to which it is sharp: where the field is
+round, dual contouring makes pieces that lie off it."""
+BESIDE, FOLLOWS = 1.0, 0.3
+"""In units of h0, how near a crease is to another where it is the same, and the share of it from
+which on it is."""
+ACCIDENTS = 0.3
+"""Length of exact creases over that of the others, up to which they are accidents."""
 SHORTEST = 2.0
 """In units of h0: creases that reach less far are noise or detail."""
 
 
-def found(source: Source, frame: ModelFrame, angle: float) -> list[Chain]:
-    """The creases of an input in model units that turn by ``angle`` degrees or more; of meshes,
-    and of fields, where the gradient jumps."""
+def found(source: Source, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
+    """The creases of an input in model units that turn by ``angle`` degrees or more: exact ones,
+    and what is rounded or under noise, of points too."""
+    from .fields import FieldSource
+    from .mesh import MeshSource
+    from .points import PointSource
+    from .rounded import rounded
+
+    if not isinstance(source, (FieldSource, MeshSource, PointSource)):
+        return []
+    known = exact(source, frame, angle)
+    box = frame.model_from_input(np.asarray(source.bounding_box(), dtype=float))
+    others = rounded(surface, box, angle, not isinstance(source, PointSource))
+    exact_length, length = (sum(chain.length for chain in made) for made in (known, others))
+    # Of noisy meshes exact ones are accidents.
+    more, less = (known, others) if exact_length > ACCIDENTS * length else (others, known)
+    return more + [chain for chain in _elsewhere(less, more) if chain.length >= SHORTEST]
+
+
+def exact(source: Source, frame: ModelFrame, angle: float) -> list[Chain]:
+    """Of meshes edges, of fields where the gradient jumps."""
     from .contouring import contoured
     from .fields import FieldSource
     from .mesh import MeshSource
 
     if isinstance(source, FieldSource):
-        return of_triangles(*contoured(source, frame), angle)
+        made = of_triangles(*contoured(source, frame), angle)
+        return [chain for chain in made if _distance(source, frame, chain.points) < ON]
     if isinstance(source, MeshSource):
         return of_triangles(frame.model_from_input(source.vertices), source.triangles, angle)
     return []
 
 
+def _distance(source: FieldSource, frame: ModelFrame, points: Floats) -> float:
+    """Median distance, to first order, of ``points`` from the zero set in units of h0."""
+    value, slope = source.gradient(frame.input_from_model(points))
+    steepness = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
+    return float(np.median(np.abs(value) / steepness) / frame.spacing)
+
+
+def _elsewhere(chains: list[Chain], known: list[Chain]) -> list[Chain]:
+    """The ``chains`` that do not follow ``known`` ones."""
+    if not known:
+        return chains
+    creases = Creases(known)
+
+    def share(chain: Chain) -> float:
+        points = Creases([chain]).dense
+        away = np.linalg.norm(points - creases.closest(points)[0], axis=1)
+        return float((away < BESIDE).mean())
+
+    return [chain for chain in chains if share(chain) < FOLLOWS]
+
+
 def of_triangles(vertices: Floats, triangles: Ints, angle: float) -> list[Chain]:
     """The creases of a mesh in model units, between corners."""
+    return chains(vertices, sharp_edges(vertices, triangles, angle)[0])
+
+
+def sharp_edges(vertices: Floats, triangles: Ints, angle: float) -> tuple[Ints, Ints]:
+    """Edges at which two triangles turn by ``angle`` degrees or more, and these triangles,
+    ``(E, 2)`` both."""
     normal, _ = triangle_normals(vertices, triangles)
     start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
     ends = np.sort(np.stack([start, end], 1), axis=1)
@@ -49,12 +105,14 @@ def of_triangles(vertices: Floats, triangles: Ints, angle: float) -> list[Chain]
     first = np.cumsum(uses) - uses
     two = np.flatnonzero(uses == 2)
     owner = np.repeat(np.arange(len(triangles)), 3)[order]
-    cosine = np.einsum("ij,ij->i", normal[owner[first[two]]], normal[owner[first[two] + 1]])
-    sharp = pairs[two[cosine < np.cos(np.radians(angle))]]
-    return _chains(vertices, sharp)
+    owners = np.stack([owner[first[two]], owner[first[two] + 1]], axis=1)
+    cosine = np.einsum("ij,ij->i", normal[owners[:, 0]], normal[owners[:, 1]])
+    sharp = cosine < np.cos(np.radians(angle))
+    return pairs[two[sharp]], owners[sharp]
 
 
-def _chains(vertices: Floats, edges: Ints) -> list[Chain]:
+def chains(vertices: Floats, edges: Ints) -> list[Chain]:
+    """The creases that ``edges (E, 2)`` make, between corners."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
@@ -74,9 +132,12 @@ def _chains(vertices: Floats, edges: Ints) -> list[Chain]:
     ones = np.ones(len(ends))
     graph = csr_array((ones, (ends[:, 0], ends[:, 1])), shape=(size, size))
     _, label = connected_components(graph, directed=False)
+    way = vertices[edges[:, 0]] - vertices[edges[:, 1]]
+    lengths = np.bincount(label[ends[:, 0]], np.linalg.norm(way, axis=1), label.max() + 1)
     used = np.unique(ends)
+    used = used[_coarse(lengths, label[ends[:, 0]], edges, count)[label[used]]]
     valence = np.bincount(ends.reshape(-1), minlength=size)
-    chains, places = [], []
+    result = []
     for number in np.unique(label[used]):
         members = used[label[used] == number]
         tips = members[valence[members] == 1]
@@ -85,25 +146,30 @@ def _chains(vertices: Floats, edges: Ints) -> list[Chain]:
             walk, _ = breadth_first_order(graph, begin, directed=False)
         else:
             walk = _around(ends[label[ends[:, 0]] == number], begin)
-        chains.append(Chain(vertices[origin[walk]], closed=len(tips) == 0))
-        places.append(int(origin[walk[0]]))
-    return _coarse(chains, np.array(places, dtype=np.int64), edges, count)
+        result.append(Chain(vertices[origin[walk]], closed=len(tips) == 0))
+    return result
 
 
-def _coarse(chains: list[Chain], places: Ints, edges: Ints, count: int) -> list[Chain]:
-    """The ``chains`` of connected creases that are not mostly detail; a vertex of each is given."""
+def _coarse(lengths: Floats, chain: Ints, edges: Ints, count: int) -> NDArray[np.bool_]:
+    """Which chains belong to connected creases that are not mostly detail; ``lengths (C,)`` of
+    all, and the ``chain (E,)`` of each edge."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    if not chains:
-        return []
+    kept = np.zeros(len(lengths), dtype=bool)
+    if len(edges) == 0:
+        return kept
     graph = csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
     _, label = connected_components(graph, directed=False)
-    length = np.array([chain.length for chain in chains])
-    return [
-        chain for chain, place in zip(chains, places, strict=True)
-        if np.median(length[label[places] == label[place]]) >= DETAIL
-    ]  # fmt: skip
+    chains, first = np.unique(chain, return_index=True)
+    group = label[edges[first, 0]]
+    order = np.lexsort((lengths[chains], group))
+    start = np.flatnonzero(np.diff(group[order], prepend=-1))
+    many = np.diff(start, append=len(order))
+    sizes = lengths[chains[order]]
+    median = 0.5 * (sizes[start + (many - 1) // 2] + sizes[start + many // 2])
+    kept[chains[order]] = np.repeat(median >= DETAIL, many)
+    return kept
 
 
 def _around(ends: Ints, begin: int) -> Ints:

@@ -134,13 +134,16 @@ def give_up_flat(mesh: Sized) -> int:
     else could give them; returns how many triangles there are."""
     flat = (_heights(mesh) < FLAT) & (mesh.rank[mesh.triangles] > FREE).all(axis=1)
     freed = np.unique(mesh.triangles[flat])
-    freed = freed[mesh.rank[freed] == CREASE]
-    if len(freed):
-        mesh.rank = mesh.rank.copy()
-        mesh.rank[freed] = FREE
-        mesh.creases = mesh.creases[~np.isin(mesh.creases[:, :2], freed).any(axis=1)]
-        mesh.rank[(mesh.rank == CREASE) & (mesh.chains() < 0)] = FREE
+    give_up(mesh, freed[mesh.rank[freed] == CREASE])
     return int(flat.sum())
+
+
+def give_up(mesh: Sized, freed: Ints) -> None:
+    """Let the vertices ``freed`` go from their creases, and the edges between."""
+    mesh.rank = mesh.rank.copy()
+    mesh.rank[freed] = FREE
+    mesh.creases = mesh.creases[~np.isin(mesh.creases[:, :2], freed).any(axis=1)]
+    mesh.rank[(mesh.rank == CREASE) & (mesh.chains() < 0)] = FREE
 
 
 def _heights(mesh: Sized) -> Floats:

@@ -1,8 +1,8 @@
 """Triangles that are long where the surface bends less: the metric of its curvature.
 
 Over a triangle with edges of lengths a and b along the principal directions the distance to the
-surface grows with ``|k1| a^2 + |k2| b^2``; of a given area it is least where the two are equal, that
-is, for equilateral triangles in a metric in proportion to the curvature (Alliez et al. 2003).
+surface grows with ``|k1| a^2 + |k2| b^2``; of a given area it is least where the two are equal: for
+equilateral triangles in a metric in proportion to the curvature (Alliez et al. 2003).
 """
 
 from __future__ import annotations
