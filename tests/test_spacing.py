@@ -17,9 +17,11 @@ from vorolight.stages.optimize.fitting import backward, forward, vertex_errors
 from vorolight.stages.optimize.refinement import Refine, refined
 from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
+from vorolight.stages.surface.operations import delaunay_gain
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.sizing import GRADATION, LengthField, evened, limits, separation
 from vorolight.stages.surface.spacing import Spacing, spaced
+from vorolight.stages.surface.stretching import LONGEST, metrics
 from vorolight.stages.surface.topology import topology
 
 
@@ -184,3 +186,41 @@ def test_impossible_spacings_are_refused(
     done = cli("sphere-train", *words, "--run", "run", cwd=tmp_path)
     assert done.returncode == 2
     assert any(part in done.stderr for part in reason.split("|"))
+
+
+def test_metrics_are_long_where_the_surface_bends_less() -> None:
+    sphere = Sized(*sphere_mesh(3.0, 4), np.ones(2562))
+    assert np.allclose(metrics(sphere), np.eye(3), atol=0.1)
+    vertices, triangles = egg(5)
+    turn = random_rotation(4)
+    found = metrics(Sized(vertices @ turn.T, triangles, np.ones(len(vertices))))
+    assert np.allclose(np.linalg.det(found), 1)
+    assert np.allclose(found, found.transpose(0, 2, 1))
+    # Around its middle the egg bends 16 times as much as along it; triangles are twice as long.
+    middle = np.abs(vertices[:, 0]) < 1
+    along = np.einsum("vij,i,j->v", found[middle], turn[:, 0], turn[:, 0])
+    assert along == pytest.approx(1 / LONGEST, rel=0.05)
+
+
+def test_edges_are_measured_in_the_metric() -> None:
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.6, 1.0]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    stretch = np.diag([0.5, 2.0, 1.0])
+    mesh = Sized(corners, triangles, np.full(4, 0.7))
+    mesh.metric = lambda at: np.broadcast_to(stretch @ stretch, (len(at), 3, 3))
+    ends = np.array([[0, 1], [0, 2], [0, 0]])
+    assert mesh.edge_target(ends) == pytest.approx([1.4, 0.35, 0.7])
+    table = EdgeTable.of(triangles)
+    straight = Sized(corners @ stretch, triangles, np.full(4, 0.7))
+    assert delaunay_gain(mesh, table) == pytest.approx(delaunay_gain(straight, table))
+
+
+def test_varied_triangles_are_longer_along_the_shape(tmp_path: Path) -> None:
+    surface = surface_of(tmp_path / "egg.ply", egg())
+    mesh, _ = spaced(*egg(4), surface, None, Spacing(0.55, faces=1500))
+    table = EdgeTable.of(mesh.triangles)
+    way = mesh.vertices[table.ends[:, 1]] - mesh.vertices[table.ends[:, 0]]
+    middle = np.abs(mesh.vertices[table.ends].mean(axis=1)[:, 0]) < 4
+    square = (way[middle] ** 2).mean(axis=0)
+    # Of even triangles a third of the squares is each direction's, two on a cylinder's side.
+    assert square[0] > 1.5 * (square[1] + square[2])

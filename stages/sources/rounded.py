@@ -366,8 +366,8 @@ def _through(lines: list[Floats], reach: float) -> list[Floats]:
 def _turn(line: Floats, other: Floats, reach: float) -> float:
     """Cosine of the ways of two lines, within ``reach`` before and after the place where they
     meet."""
-    before = line[np.linalg.norm(line - line[-1], axis=1) > 0.5 * reach]
-    after = other[np.linalg.norm(other - other[0], axis=1) > 0.5 * reach]
+    before = line[np.linalg.norm(line - line[-1], axis=1) > reach]
+    after = other[np.linalg.norm(other - other[0], axis=1) > reach]
     u = line[-1] - (before[-1] if len(before) else line[0])
     v = (after[0] if len(after) else other[-1]) - other[0]
     return float(u @ v / (np.linalg.norm(u) * np.linalg.norm(v)))

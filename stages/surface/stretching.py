@@ -17,6 +17,10 @@ LONGEST = 2.0
 """Of an edge along the direction of least curvature, over one across it."""
 SMOOTHINGS = 2
 """Rounds in which curvatures are averaged over the triangles around each vertex."""
+FLAT = 0.3
+"""How far an edge is from the surface, over the mean of the shape, up to which that is flat."""
+SMALL = 1e-9
+"""The same of a shape that is flat everywhere, in units of h0."""
 AT_CREASES = 1e-3
 """Weight of triangles at creases once others have said what they know."""
 
@@ -41,9 +45,10 @@ def metrics(mesh: Sized) -> Floats:
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     frame = np.stack([first, np.cross(normal, first)], axis=1)
     value, vector = np.linalg.eigh(np.einsum("vai,vij,vbj->vab", frame, mean, frame))
-    size = np.abs(value)
+    # What bends too little for its edges to show has no directions.
+    bend = np.abs(value) * mesh.length[:, None] ** 2
+    size = np.maximum(bend, FLAT * bend.max(axis=1).mean() + SMALL)
     size = np.maximum(size, size.max(axis=1, keepdims=True) / LONGEST**2)
-    size = np.where(size.max(axis=1, keepdims=True) > 0, size, 1.0)
     size /= np.sqrt(size.prod(axis=1, keepdims=True))
     along = np.einsum("vab,vai->vbi", vector, frame)
     found = np.einsum("vb,vbi,vbj->vij", size, along, along)
