@@ -21,7 +21,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 ifndef SHAPES
 .NOTPARALLEL:
 endif
-.PHONY: lamp run shapes test test-all test-slurm concurrency kills write-points corruptions bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
+.PHONY: pictures-edges table-spacing lamp run shapes test test-all test-slurm concurrency kills write-points corruptions bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -106,6 +106,17 @@ TABLE_FACES ?= triangle
 table: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
 		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Varied edge lengths beside even ones, with the same number of triangles.
+FACES_TARGET ?= 4000
+table-spacing: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/spacings.py -n $(N) --faces $(FACES_TARGET) \
+		$(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Edges without creases, along creases, and of varied lengths, side by side: examples/edges.png.
+pictures-edges: $(VENV)/installed
+	$(BIN)/python tests/benchmarks/edges.py -n $(N) --output examples/edges.png \
+		$(or $(MESHES),cube-cavity bunny.obj)
 
 # Point clouds sampled on meshes, compared with them; NOISE is in percent of the diagonal.
 POINTS ?= 153600

@@ -86,8 +86,8 @@ class Params(contract.Params):
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
     """Points sampled on an input mesh for the Chamfer loss."""
     sharp: str = "auto"
-    """Edges along the creases of meshes and fields: auto, from 40 degrees on (triangles; polygons
-    have none), off, or the least angle in degrees."""
+    """Edges along the creases of meshes, points and fields: auto, from 40 degrees on (triangles;
+    polygons have none), off, or the least angle in degrees."""
     merge: Positive = 0.1
     """Vertices of the polygons' diagram this near to a trained one, in units of h0, become it in
     the written surface, so that slivers between polygons vanish; 0 writes them."""

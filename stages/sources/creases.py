@@ -133,7 +133,8 @@ def chains(vertices: Floats, edges: Ints) -> list[Chain]:
     graph = csr_array((ones, (ends[:, 0], ends[:, 1])), shape=(size, size))
     _, label = connected_components(graph, directed=False)
     way = vertices[edges[:, 0]] - vertices[edges[:, 1]]
-    lengths = np.bincount(label[ends[:, 0]], np.linalg.norm(way, axis=1), label.max() + 1)
+    edge = np.linalg.norm(way, axis=1)
+    lengths = np.asarray(np.bincount(label[ends[:, 0]], edge, label.max() + 1), np.float64)
     used = np.unique(ends)
     used = used[_coarse(lengths, label[ends[:, 0]], edges, count)[label[used]]]
     valence = np.bincount(ends.reshape(-1), minlength=size)

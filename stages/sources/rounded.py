@@ -181,7 +181,7 @@ class _Neighbours:
 
     def sums(self, values: Floats) -> Floats:
         """Of ``values (P,)`` of the pairs, ``(N,)``."""
-        return np.bincount(self.here, values, minlength=self.count)
+        return np.asarray(np.bincount(self.here, values, minlength=self.count), np.float64)
 
     def mean(self, weights: Floats, normals: Floats) -> Floats:
         """The unit normals of the sums of ``normals (N, 3)``."""

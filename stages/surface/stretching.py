@@ -58,7 +58,7 @@ def metrics(mesh: Sized) -> Floats:
 def _spread(triangles: Ints, tensor: Floats, weight: Floats, count: int) -> tuple[Floats, Floats]:
     """Sums of the tensors and weights of the triangles around each vertex."""
     flat = triangles.reshape(-1)
-    total = np.bincount(flat, np.repeat(weight, 3), minlength=count)
+    total = np.asarray(np.bincount(flat, np.repeat(weight, 3), minlength=count), np.float64)
     sums = np.zeros((count, 3, 3))
     for i in range(3):
         for j in range(3):
