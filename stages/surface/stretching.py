@@ -49,6 +49,10 @@ def metrics(mesh: Sized) -> Floats:
     bend = np.abs(value) * mesh.length[:, None] ** 2
     size = np.maximum(bend, FLAT * bend.max(axis=1).mean() + SMALL)
     size = np.maximum(size, size.max(axis=1, keepdims=True) / LONGEST**2)
+    # Beside creases long triangles leave their spheres no room.
+    near = mesh.rank > 0
+    near[mesh.triangles[near[mesh.triangles].any(axis=1)]] = True
+    size[near] = 1.0
     size /= np.sqrt(size.prod(axis=1, keepdims=True))
     along = np.einsum("vab,vai->vbi", vector, frame)
     found = np.einsum("vb,vbi,vbj->vij", size, along, along)
