@@ -59,7 +59,7 @@ def distances(chains: list[Chain], truth: Creases) -> tuple[np.ndarray, np.ndarr
     )
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_slightly_round_edges_are_creases_however_they_are_turned(
     seed: int, tmp_path_factory: pytest.TempPathFactory
