@@ -122,6 +122,14 @@ def test_ends_near_a_corner_meet_in_it() -> None:
     assert len(joined(three[:2], 1.0)) == 2
 
 
+def test_an_end_that_moves_onto_the_next_place_is_one_with_it() -> None:
+    short = Chain(np.array([[0.02, 0, 0], [0.5, 0, 0], [4.0, 0, 0]]), False)
+    corner = line((0.5, 0, 0), (0.5, 4, 0)), line((0.5, 0, 0), (0.5, 0, 4))
+    for chain in joined([short, *corner], 1.0):
+        assert (np.linalg.norm(np.diff(chain.points, axis=0), axis=1) > 0).all()
+        assert np.isfinite(Creases([chain]).tangents).all()
+
+
 def test_spurs_and_doubles_go() -> None:
     main = line((0, 0, 0), (3, 0, 0)), line((3, 0, 0), (8, 0, 0))
     (kept,) = joined([*main, line((3, 0, 0), (3, 1.5, 0))], 1.0)

@@ -274,10 +274,17 @@ def joined(chains: list[Chain], reach: float) -> list[Chain]:
         spur = (degree[ends].min(axis=1) == 1) & (length < 2 * reach)
         kept = np.flatnonzero(~short & ~spur & (ends[:, 0] != ends[:, 1]))
         lines = [
-            np.concatenate([place[ends[k, :1]], lines[k][1:-1], place[ends[k, 1:]]]) for k in kept
+            _distinct(np.concatenate([place[ends[k, :1]], lines[k][1:-1], place[ends[k, 1:]]]))
+            for k in kept
         ]
         lines = _through(_single(lines, ends[kept], reach), reach)
     return [Chain(points, closed=False) for points in lines] + closed
+
+
+def _distinct(points: Floats) -> Floats:
+    """Without those that are where the one before is."""
+    moved = np.linalg.norm(np.diff(points, axis=0), axis=1) > 0
+    return np.asarray(points[np.append(True, moved)])
 
 
 def _nodes(lines: list[Floats], near: float) -> tuple[Floats, Ints]:
