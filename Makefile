@@ -114,8 +114,8 @@ table-spacing: $(VENV)/installed
 		$(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
 
 # Edges without creases, along creases, and of varied lengths, side by side: examples/edges.png.
-pictures-edges: $(VENV)/installed
-	$(BIN)/python tests/benchmarks/edges.py -n $(N) --output examples/edges.png \
+pictures-edges: $(VENV)/installed $(if $(MESHES),,bunny.obj)
+	$(BIN)/python tests/benchmarks/edges.py -n 15 --output examples/edges.png \
 		$(or $(MESHES),cube-cavity bunny.obj)
 
 # Point clouds sampled on meshes, compared with them; NOISE is in percent of the diagonal.

@@ -11,6 +11,8 @@ import trimesh
 from conftest import Cli, random_rotation, sphere_mesh, surface_of
 from test_sources import write_obj
 
+from vorolight.stages.optimize.spheres import Spheres
+from vorolight.stages.optimize.triangles import Trained
 from vorolight.stages.sources.contouring import contoured
 from vorolight.stages.sources.creases import of_triangles
 from vorolight.stages.sources.resolve import identify
@@ -219,3 +221,20 @@ def test_impossible_options_are_refused(
     done = cli("sphere-train", *words, "--run", "run", cwd=tmp_path)
     assert done.returncode == 2
     assert reason in done.stderr
+
+
+def test_creases_that_are_given_up_are_counted() -> None:
+    line = Chain(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), False)
+    corners = np.concatenate([line.points, [[0, 1, 0], [0, 0, 1]]])
+    whole = np.array([[0, 1, 0], [1, 2, 0], [2, 3, 0]])
+    triangles = np.array([[0, 4, 1]])
+    ones = np.ones(len(corners))
+
+    def given_up(edges: np.ndarray, missed: int) -> Trained:
+        spheres = Spheres(corners, ones, triangles, ones, ones, ones, 0 * whole[:, 0], edges)
+        return Trained(spheres, np.zeros((0, 4)), 0, False, Creases([line]), missed, None, None)
+
+    assert given_up(whole, 0).given_up == 0
+    assert given_up(whole[1:], 0).given_up == 1
+    assert any("in part only" in said for said in given_up(whole[:0], 0).warnings())
+    assert given_up(whole[:0], 1).given_up == 0

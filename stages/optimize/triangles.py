@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from ..contract import Context
 
 
+FOLLOWED = 0.8
+"""Length of the edges along a crease, over its own, below which a part of it has none; edges are
+chords, so that of a small circle they are shorter."""
 MISSED = 0.05
 """Share of the faces asked for by which they may be missed."""
 
@@ -47,6 +50,19 @@ class Trained:
     asked: int | None
     """How many triangles there were to be."""
 
+    @property
+    def given_up(self) -> int:
+        """Creases that edges followed at first, but not to their ends any more: where they kept the
+        surface from conforming."""
+        if self.creases is None:
+            return 0
+        start, end, chain = self.spheres.creases.T
+        way = self.spheres.centres[end] - self.spheres.centres[start]
+        chains = self.creases.chains
+        followed = np.bincount(chain, np.linalg.norm(way, axis=1), minlength=len(chains))
+        whole = np.array([chain.length for chain in chains])
+        return max(0, int((followed < FOLLOWED * whole).sum()) - self.missed)
+
     def facts(self) -> dict[str, Any]:
         """How it went, for the manifest."""
         facts = started(self.rounds, self.from_input)[0]
@@ -55,6 +71,7 @@ class Trained:
             facts["creases"] = {
                 "chains": len(self.creases.chains),
                 "missed": self.missed,
+                "given_up": self.given_up,
                 "corners": len(self.creases.corners),
                 "length_in_h": sum(chain.length for chain in self.creases.chains),
                 **deviation(self.creases, spheres.centres, spheres.rank, spheres.creases),
@@ -69,6 +86,11 @@ class Trained:
             said.append(
                 f"{self.missed} of {len(self.creases.chains)} creases are not followed by edges: "
                 "raise -n, or lower --edge-length"
+            )
+        if self.given_up and self.creases is not None:
+            said.append(
+                f"{self.given_up} of {len(self.creases.chains)} creases are followed in part only, "
+                "where the surface conforms: raise -n, or lower --edge-length"
             )
         count = len(self.spheres.triangles)
         if self.asked and self.refinement is None and abs(count / self.asked - 1) > MISSED:

@@ -34,7 +34,6 @@ def metrics(mesh: Sized) -> Floats:
     # Normals on a crease are of neither side.
     weight = np.where((mesh.rank[mesh.triangles] > 0).any(axis=1), 0.0, area)
     tensor = np.einsum("tai,tab,tbj->tij", axes, bending, axes)
-    mean, total = np.zeros((count, 3, 3)), np.zeros(count)
     for _ in range(SMOOTHINGS):
         mean, total = _spread(mesh.triangles, tensor * weight[:, None, None], weight, count)
         mean /= np.maximum(total, np.finfo(float).tiny)[:, None, None]
