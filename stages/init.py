@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 JITTER = 1e-3
 """Standard deviation of what is added to the paper's first generators, in voxels."""
-LEVELS = 3
-"""How often voxels are divided where the shape is thin, until the topology is the input's."""
+LEVELS, MOST = 3, 60_000
+"""How often voxels are divided where the shape is thin, until the topology is the input's, as long
+as there are not more generators than this or than twice as many as at first."""
 PATIENCE = 10
 """Iterations without gain after which the rest is left."""
 SPECK = 0.1
@@ -247,6 +248,8 @@ def _first_generators(
         start, inside = mirrored(
             context.surface, grid.interior, levels, context.random("jitter", levels)
         )
+        if best is not None and len(start) > max(MOST, 2 * len(best[1])):
+            break
         start, inside, _ = without_islands(start, inside, smallest=SPECK)
         raw = interface(start, inside)
         kept = np.zeros(len(start), dtype=bool)

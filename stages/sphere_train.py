@@ -98,7 +98,6 @@ def _polygons(context: Context) -> Outcome:
         done = train_triangles(context, params.spacing, weights, int(plain["iterations"]))
         mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
         how = done.rounds, done.from_input
-    facts, said = started(*how)
     state, history = train_polygons(
         mesh,
         context.surface,
@@ -118,8 +117,8 @@ def _polygons(context: Context) -> Outcome:
         state.outer,
         state.inner,
         history,
-        facts,
-        said + _on_cpu(context),
+        started(*how),
+        _on_cpu(context),
     )
 
 
@@ -261,7 +260,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=9,
+    version=10,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

@@ -144,10 +144,12 @@ def test_a_crease_around_a_triangle_goes_along_its_third_edge() -> None:
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     triangles = np.asarray(box.faces, np.int64)
     a, b, c = triangles[0]
-    mesh = Sized(np.asarray(box.vertices), triangles, np.ones(8))
+    mesh = Sized(np.asarray(box.vertices), triangles, np.full(8, 0.5))
     mesh.rank = np.zeros(8, np.int64)
     mesh.rank[[a, b, c]] = CORNER, CREASE, CORNER
     mesh.creases = np.array([[a, b, 5], [b, c, 5]])
+    assert cut_ears(mesh) == 0  # too high for an ear
+    mesh.length = np.full(8, 4.0)
     assert cut_ears(mesh) == 1
     assert sorted(mesh.creases[0, :2].tolist()) == sorted([int(a), int(c)])
     assert mesh.creases[:, 2].tolist() == [5]

@@ -16,12 +16,16 @@ from test_sources import write_obj
 from vorolight.stages.optimize.fitting import backward, forward, vertex_errors
 from vorolight.stages.optimize.refinement import Refine, refined
 from vorolight.stages.optimize.spheres import Spheres
+from vorolight.stages.sources.creases import of_triangles
+from vorolight.stages.surface.creases import Creases
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
-from vorolight.stages.surface.operations import delaunay_gain
+from vorolight.stages.surface.operations import delaunay_gain, split_long
 from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.sizing import GRADATION, LengthField, evened, limits, separation
-from vorolight.stages.surface.spacing import Spacing, spaced
+from vorolight.stages.surface.remesh import divide
+from vorolight.stages.surface.sizing import GRADATION, LengthField, evened, separation
+from vorolight.stages.surface.spacing import Spacing, TooManyTriangles, limits, spaced
 from vorolight.stages.surface.stretching import LONGEST, metrics
+from vorolight.stages.surface.thickness import FLAT, ROUND
 from vorolight.stages.surface.topology import topology
 
 
@@ -112,14 +116,63 @@ def test_lengths_keep_to_their_limits(tmp_path: Path) -> None:
     assert mesh.length.max() > 0.6  # the sides need less than the default
 
 
-def test_thin_parts_get_shorter_edges() -> None:
-    plate = trimesh.creation.box((8.0, 8.0, 0.5))
-    points, face = trimesh.sample.sample_surface(plate, 6000, seed=0)
+def test_thin_parts_get_shorter_edges_down_to_any_thickness() -> None:
     turn = random_rotation(3)
-    _, most = limits(points @ turn.T, plate.face_normals[face] @ turn.T, 2.0, None, 0.6)
-    inner = np.abs(points[:, :2]).max(axis=1) < 3.5
-    # Opposite samples are not quite opposite.
-    assert np.median(most[inner]) == pytest.approx(0.3, rel=0.05)
+    for thin in (0.5, 0.05):
+        plate = trimesh.creation.box((8.0, 8.0, thin))
+        points, most = limits(plate.vertices @ turn.T, plate.faces, None, 2.0, 0.1, 0.6)
+        inner = np.abs(points @ turn)[:, :2].max(axis=1) < 3
+        assert most[inner] == pytest.approx(FLAT * thin, rel=1e-3)
+    rod = trimesh.creation.cylinder(0.25, 8.0, 64)
+    points, most = limits(rod.vertices @ turn.T, rod.faces, None, 2.0, 0.1, 0.6)
+    inner = np.abs(points @ turn)[:, 2] < 3
+    # A tube turns within its thickness: as many edges around it as around a thick one.
+    assert most[inner] == pytest.approx(ROUND * 0.5, rel=0.05)
+
+
+def test_towards_the_edge_of_a_wedge_lengths_have_a_floor() -> None:
+    angle = np.radians(20)
+    outline = np.array([[0, 0, 0], [8, 0, 0], [8 * np.cos(angle), 8 * np.sin(angle), 0]])
+    wedge = trimesh.convex.convex_hull(np.concatenate([outline, outline + np.array([0, 0, 8])]))
+    creases = Creases(of_triangles(wedge.vertices, wedge.faces, 40.0))
+    points, most = limits(wedge.vertices, wedge.faces, creases, 1.0, 0.15, 0.6)
+    assert most.min() == pytest.approx(0.15)
+    middle = (np.abs(points[:, 0] - 3) < 0.2) & (np.abs(points[:, 2] - 4) < 2)
+    assert np.isfinite(most[middle]).all()
+
+
+def test_what_would_take_too_many_triangles_is_refused_at_its_thinnest_place(
+    tmp_path: Path,
+) -> None:
+    box = trimesh.creation.box((8.0, 8.0, 8.0))
+    slit = trimesh.creation.box((4.0, 9.0, 0.05)).apply_translation((3.0, 0, 0))
+    cut = trimesh.boolean.difference([box, slit])
+    surface = surface_of(tmp_path / "slit.ply", (cut.vertices, cut.faces))
+    spacing = Spacing(0.55, most=5000)
+    with pytest.raises(TooManyTriangles) as caught:
+        spaced(cut.vertices, cut.faces, surface, None, spacing, True)
+    assert caught.value.expected > 20_000
+    # Beside its rims, where it turns.
+    assert caught.value.lengths == pytest.approx(ROUND * 0.05, rel=0.01)
+    assert np.abs(caught.value.places[:, 2]) == pytest.approx(0.025)
+
+
+def test_an_inputs_own_triangles_are_divided_without_a_vertex_moved(tmp_path: Path) -> None:
+    box = trimesh.creation.box((8.0, 0.3, 0.1))
+    vertices, triangles = np.asarray(box.vertices), np.asarray(box.faces)
+    surface = surface_of(tmp_path / "rod.ply", (vertices, triangles))
+    mesh = Sized(vertices, triangles, np.full(8, 0.2))
+    divide(mesh, lambda points: np.full(len(points), 0.2), surface)
+    assert {tuple(at) for at in vertices} <= {tuple(at) for at in mesh.vertices}
+    off = np.abs(np.abs(mesh.vertices) - [4.0, 0.15, 0.05]).min(axis=1)
+    assert off.max() < 1e-12
+    longest = EdgeTable.of(mesh.triangles).lengths(mesh.vertices).max()
+    assert longest <= 0.2 * 4 / 3
+    # Halving alone would leave long thin triangles, and many more of them.
+    halved = Sized(vertices, triangles, np.full(8, 0.2))
+    while split_long(halved):
+        halved.length = np.full(len(halved.vertices), 0.2)
+    assert len(mesh.triangles) < 0.6 * len(halved.triangles)
 
 
 def test_only_what_is_too_far_is_divided(tmp_path: Path) -> None:

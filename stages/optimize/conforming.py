@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..surface.creases import give_up
 from ..surface.edge_table import EdgeTable, Sized
+from ..surface.embedding import kept_embedded
 from ..surface.operations import Gain, contract_short, delaunay_gain, flip
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import astray, keeping, unfold
@@ -116,7 +117,10 @@ def conform(
             # What conformity needs gets its full weight by and by.
             ramp = [1.0 if number else min(1.0, 2 * (i + 1) / count) for i in range(first, last)]
             problem = SphereProblem(spheres, surface, creases, weights, free, threads)
+            before = spheres.centres
             spheres, losses, damping = descend(problem, spheres, ramp, damping)
+            centres = kept_embedded(before, spheres.centres, spheres.triangles)
+            spheres = replace(spheres, centres=centres)
             if not number:
                 history = np.concatenate([history, losses])
             progress.advance(last, f"loss {losses[-1].sum():.4g}")

@@ -19,7 +19,7 @@ FIRST_RADIUS = 0.8
 """In edge lengths."""
 SMALLEST = 0.1
 """``delta_f`` that stands for a missing pair while there is none, in edge lengths."""
-SAFE = 1e-4
+SAFE = 2e-5
 """Smallest power, in units of h0^2, that lets a generator pass as outside a sphere."""
 
 

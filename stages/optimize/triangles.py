@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..errors import NumericalFailure
+from ..metrics.intersections import self_intersections
 from ..sources.creases import found as creases_found
 from ..surface.creases import Creases, deviation
 from ..surface.geometry import fan_triangles
 from ..surface.model_frame import ModelFrame
-from ..surface.polygons import Floats, PolygonMesh
-from ..surface.spacing import Spacing, spaced
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.spacing import Spacing, TooManyTriangles, spaced
 from ..surface.topology import topology
 from .conforming import ROUND, Leg, conform
 from .descent import TERMS
@@ -40,7 +42,7 @@ class Trained:
     history: Floats
     rounds: int
     from_input: bool
-    """Whether the input's own triangles were remeshed, not the initial surface."""
+    """Whether the input's own triangles were remeshed, or the initial surface."""
     creases: Creases | None
     """What the input has of creases, if they were looked for and there are any."""
     missed: int
@@ -65,7 +67,7 @@ class Trained:
 
     def facts(self) -> dict[str, Any]:
         """How it went, for the manifest."""
-        facts = started(self.rounds, self.from_input)[0]
+        facts = started(self.rounds, self.from_input)
         if self.creases is not None:
             spheres = self.spheres
             facts["creases"] = {
@@ -81,7 +83,7 @@ class Trained:
         return facts
 
     def warnings(self) -> list[str]:
-        said = started(self.rounds, self.from_input)[1]
+        said = []
         if self.missed and self.creases is not None:
             said.append(
                 f"{self.missed} of {len(self.creases.chains)} creases are not followed by edges: "
@@ -106,11 +108,9 @@ class Trained:
         return said
 
 
-def started(rounds: int, from_input: bool) -> tuple[dict[str, Any], list[str]]:
-    """What the manifest says of a training's start, and what the user is warned of."""
-    facts = {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}
-    said = "the initial surface has not the input's topology: the input's triangles were remeshed"
-    return facts, [said] if from_input else []
+def started(rounds: int, from_input: bool) -> dict[str, Any]:
+    """What the manifest says of a training's start and repairs."""
+    return {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}
 
 
 def train_triangles(
@@ -121,25 +121,23 @@ def train_triangles(
     angle: float | None = None,
     refine: Refine | None = None,
 ) -> Trained:
-    """The surface of stage init, or the input's if that has not its topology, remeshed as
-    ``spacing`` asks and trained by ``iterations`` steps and as many repairs as it needs.
+    """The input's own triangles, or the surface of stage init where it has none that are closed and
+    embedded, remeshed as ``spacing`` asks and trained by ``iterations`` steps and as many repairs
+    as it needs.
 
     Edges follow the creases that turn by ``angle`` degrees or more; None lets them go. With
     ``refine`` what is too far from the shape then is divided and trained again.
     """
     frame, surface = ModelFrame.of(context.arrays("classify")), context.surface
-    first = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
-    expected, given = context.source().topology(), topology(first)
-    from_input = expected not in (None, (given.euler_number, given.components))
-    if from_input:
-        # What follows keeps the topology that it starts with.
-        first = context.source().manifold()
-    first = first.with_vertices(frame.model_from_input(first.vertices))
+    vertices, corners, from_input = _first(context, frame)
     chains = [] if angle is None else creases_found(context.source(), surface, frame, angle)
     creases = Creases(chains) if chains else None
     found = context.checkpoints.latest()
     if found is None:
-        start, missed = spaced(*fan_triangles(first)[:2], surface, creases, spacing)
+        try:
+            start, missed = spaced(vertices, corners, surface, creases, spacing, from_input)
+        except TooManyTriangles as error:
+            raise NumericalFailure(_too_many(error, frame, spacing)) from error
         spheres, history = Spheres.at(start), np.zeros((0, len(TERMS)))
         free = np.ones(len(spheres.centres), dtype=bool)
         times = repairs = 0
@@ -168,3 +166,35 @@ def train_triangles(
         facts = {"rounds": times, "bound": refine.bound, "largest": largest,
                  "within": largest <= refine.bound}  # fmt: skip
     return Trained(spheres, history, repairs, from_input, creases, missed, facts, spacing.faces)
+
+
+def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool]:
+    """Vertices in model units and triangles to start from, and whether they are the input's.
+
+    What follows keeps the topology that it starts with. The input's own triangles have the right
+    one, wherever they are closed and do not cross each other; else the initial surface may have it.
+    """
+    source = context.source()
+    expected = source.topology()
+    initial = PolygonMesh.from_arrays(context.arrays("init"), "surface/")
+    given = topology(initial)
+    if expected is not None:
+        own = source.manifold()
+        vertices, triangles = fan_triangles(own)[:2]
+        vertices = frame.model_from_input(vertices)
+        agrees = expected == (given.euler_number, given.components)
+        if not agrees or len(self_intersections(vertices, triangles)) == 0:
+            return vertices, triangles, True
+    vertices, triangles = fan_triangles(initial)[:2]
+    return frame.model_from_input(vertices), triangles, False
+
+
+def _too_many(error: TooManyTriangles, frame: ModelFrame, spacing: Spacing) -> str:
+    places = "; ".join(
+        f"edges of {frame.spacing * length:.3g} at ({', '.join(f'{x:.6g}' for x in at)})"
+        for length, at in zip(error.lengths, frame.input_from_model(error.places), strict=True)
+    )
+    return (
+        f"the shape needs about {error.expected:,.0f} triangles, more than --max-faces "
+        f"{spacing.most}, since it or its gaps are thin: {places}; raise --max-faces, or thicken it"
+    )

@@ -24,6 +24,8 @@ DENSE = 0.1
 """Distance between the points that stand for a crease, in units of h0."""
 FLAT = 0.01
 """Height of a triangle over its longest edge below which it has no area."""
+EAR = 0.5
+"""Height in target lengths of a triangle that a crease goes around, from which on it is no ear."""
 APART = 1e5
 """What takes chains apart in the fourth dimension, in units of h0; more than any shape's size."""
 
@@ -111,7 +113,12 @@ def cut_ears(mesh: Sized) -> int:
         # The tip is opposite the edge that is on no crease.
         off = (~on[row]).argmax(axis=1)
         tip = corners[row, (off + 2) % 3]
-        row, off, tip = (values[mesh.rank[tip] == CREASE] for values in (row, off, tip))
+        base = mesh.vertices[corners[row, (off + 1) % 3]] - mesh.vertices[corners[row, off]]
+        side = mesh.vertices[tip] - mesh.vertices[corners[row, off]]
+        reach = np.maximum(np.linalg.norm(base, axis=1), np.finfo(float).tiny)
+        height = np.linalg.norm(np.cross(base, side), axis=1) / reach
+        ear = (mesh.rank[tip] == CREASE) & (height < EAR * mesh.length[tip])
+        row, off, tip = (values[ear] for values in (row, off, tip))
         # Of ears beside each other one at a time.
         first = np.full(len(mesh.vertices), len(row))
         np.minimum.at(first, corners[row].reshape(-1), np.repeat(np.arange(len(row)), 3))

@@ -32,11 +32,13 @@ Gain = Callable[[Sized, EdgeTable], Floats]
 """What flipping each edge is worth, ``(E,)``; those with a positive gain are flipped."""
 
 
-def split_long(mesh: Sized, factor: float = LONGEST, most: float = np.inf) -> int:
+def split_long(
+    mesh: Sized, factor: float = LONGEST, most: float = np.inf, passes: int = PASSES
+) -> int:
     """Halve edges longer than ``factor`` target lengths, ``most`` of them at the most; returns how
     many were."""
     done = 0
-    for _ in range(PASSES):
+    for _ in range(passes):
         table = EdgeTable.of(mesh.triangles)
         excess = table.lengths(mesh.vertices) / mesh.edge_target(table.ends)
         chosen = _best_in_triangles(table, excess, excess > factor, len(mesh.triangles))

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ..optimize.fitting import fit
 from .creases import CORNER, CREASE, FREE, Creases, cut_ears, drawn_on, embed, give_up_flat
 from .edge_table import EdgeTable, Sized
-from .geometry import triangle_normals, vertex_normals
+from .embedding import kept_embedded
+from .geometry import limited, triangle_normals, vertex_normals
 from .operations import (
     FOLDED,
     Gain,
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
 
 STEP = 0.7
 """Share of the way that a vertex goes at once towards the middle of its triangles."""
+LONGEST_MOVE = 0.3
+"""Of a vertex at once, in target lengths."""
+DIVISIONS = 60
+"""The most rounds in which the edges of an input are halved."""
 LAST, LAST_STEP = 3, 0.2
 """The last iterations, and that share in them: creases come to rest."""
 EMBEDDED = 4
@@ -72,25 +77,43 @@ def remesh(
         contract_short(mesh)
         flip(mesh, valence if mesh.metric is None else delaunay)
         flip(mesh, nearer, 2)
+        before = mesh.vertices
         relax(mesh, STEP if iteration < iterations - LAST else LAST_STEP)
         fit(mesh, surface)
-        unfold(mesh, surface)
         if creases is not None:
             drawn_on(mesh, creases)
+        mesh.vertices = kept_embedded(before, mesh.vertices, mesh.triangles)
+        unfold(mesh, surface)
         mesh.length = length(mesh.vertices)
     cut_ears(mesh)
     contract_short(mesh)
     flip(mesh, smooth_only(delaunay_gain))
     flip(mesh, nearer, 2)
     give_up_flat(mesh)
+    before = mesh.vertices
     for _ in range(FITS):
         fit(mesh, surface)
+    mesh.vertices = kept_embedded(before, mesh.vertices, mesh.triangles)
     flip(mesh, delaunay)
     unfold(mesh, surface)
+    before = mesh.vertices
     fit(mesh, surface)
     if creases is not None:
         drawn_on(mesh, creases)
+    mesh.vertices = kept_embedded(before, mesh.vertices, mesh.triangles)
     return missed
+
+
+def divide(mesh: Sized, length: Length, surface: TrueSurface) -> None:
+    """Halve edges until none is longer than its target, with flips in between: long triangles of an
+    input would else become many thin ones. Every vertex stays where it is."""
+    mesh.length = length(mesh.vertices)
+    gain = smooth_only(keeping(surface, delaunay_gain))
+    for _ in range(DIVISIONS):
+        flip(mesh, gain, 2)
+        if not split_long(mesh, passes=1):
+            break
+        mesh.length = length(mesh.vertices)
 
 
 def relax(mesh: Sized, step: float, where: NDArray[np.bool_] | None = None) -> None:
@@ -117,7 +140,7 @@ def relax(mesh: Sized, step: float, where: NDArray[np.bool_] | None = None) -> N
     move[mesh.rank == CORNER] = 0.0
     if where is not None:
         move[~where] = 0.0
-    mesh.vertices = mesh.vertices + step * move
+    mesh.vertices = mesh.vertices + limited(step * move, LONGEST_MOVE * mesh.length)
 
 
 def smooth_only(gain: Gain) -> Gain:
@@ -190,7 +213,7 @@ def astray(mesh: Sized, surface: TrueSurface) -> NDArray[np.bool_]:
 
 def unfold(mesh: Sized, surface: TrueSurface, rounds: int = 5) -> None:
     """Undo folds that the true surface does not have: by flips, then by moving the vertices to the
-    mean of their neighbours."""
+    mean of their neighbours, where no triangles cross then."""
     for _ in range(rounds):
         flip(mesh, unfolding_gain, 2)
         wrong = astray(mesh, surface)
@@ -202,5 +225,6 @@ def unfold(mesh: Sized, surface: TrueSurface, rounds: int = 5) -> None:
         moved = np.unique(mesh.triangles[wrong])
         moved = moved[mesh.rank[moved] == FREE]
         sums = [np.bincount(ends[:, 0], mesh.vertices[ends[:, 1], k]) for k in range(3)]
-        mesh.vertices = mesh.vertices.copy()
-        mesh.vertices[moved] = (np.stack(sums, 1) / degree[:, None])[moved]
+        after = mesh.vertices.copy()
+        after[moved] = (np.stack(sums, 1) / degree[:, None])[moved]
+        mesh.vertices = kept_embedded(mesh.vertices, after, mesh.triangles)

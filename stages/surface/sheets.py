@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .edge_table import EdgeTable, Sized
+from .embedding import kept_embedded
 from .geometry import vertex_normals
 from .polygons import Floats
 
@@ -25,13 +26,14 @@ def part(mesh: Sized, where: NDArray[np.bool_]) -> int:
     """Move vertices ``where (V,)`` until opposite sheets are APART; how many still are not.
 
     What lies between two sheets decides: outside, they draw back into their bodies; inside, the
-    body is made thicker; where two bodies overlap, they draw back from each other.
+    body is made thicker; where two bodies overlap, they draw back from each other. No triangles
+    cross then that did not before.
     """
     from scipy.spatial import cKDTree
 
     from ..sources.parity import RayParity
 
-    table = EdgeTable.of(mesh.triangles)
+    table, before = EdgeTable.of(mesh.triangles), mesh.vertices
     left = 0
     for _ in range(ROUNDS):
         chosen = np.flatnonzero(where)
@@ -62,6 +64,7 @@ def part(mesh: Sized, where: NDArray[np.bool_]) -> int:
                 np.maximum.at(most, end, sign * push)
                 shift = np.where(most > np.abs(shift), sign * most, shift)
         mesh.vertices = mesh.vertices + _spread(table, shift, where)[:, None] * normal
+    mesh.vertices = kept_embedded(before, mesh.vertices, mesh.triangles)
     return left
 
 

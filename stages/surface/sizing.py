@@ -3,14 +3,11 @@ are close to each other, or triangles are far from the surface."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .polygons import Floats, Ints
-
-if TYPE_CHECKING:
-    from .creases import Creases
 
 OPPOSITE = -0.5
 """Cosine of two normals below which they are of opposite sheets."""
@@ -19,7 +16,8 @@ ACROSS = 0.6
 BETWEEN = 0.5
 """Cosine to both tangents below which the way between two points leads from crease to crease."""
 THINNEST = 0.6
-"""Edge of a triangle, or of a voxel, over the thickness that it still resolves."""
+"""Edge of a voxel over the thickness that it still resolves, and of a triangle over the distance of
+two creases."""
 GRADATION = 0.35
 """How much the target length may grow per length."""
 NEIGHBOURS = 8
@@ -120,23 +118,6 @@ class LengthField:
 
     def nearest(self, points: Floats) -> Ints:
         return np.asarray(self.tree.query(points)[1])
-
-
-def limits(
-    points: Floats, normals: Floats, longest: float, creases: Creases | None, thinnest: float
-) -> tuple[Floats, Floats]:
-    """Points of a surface and the largest lengths there, ``(N, 3), (N,)``: at most ``longest``,
-    less where the shape or a gap is thin, or creases are close to each other: ``thinnest`` times
-    that distance.
-
-    ``points, normals (S, 3)`` sample the surface; points of creases are added to them.
-    """
-    reach = longest / thinnest
-    most = thickness(points, normals, reach)
-    if creases is not None:
-        most = np.append(most, separation(creases.dense, creases.tangents, reach))
-        points = np.concatenate([points, creases.dense])
-    return points, np.minimum(thinnest * most, longest)
 
 
 def evened(lengths: Floats, errors: Floats) -> Floats:

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..optimize.fitting import vertex_errors
+from .creases import embed
 from .edge_table import Sized
-from .geometry import triangle_normals
+from .geometry import sample_triangles, triangle_normals
 from .polygons import Floats, Ints
-from .remesh import remesh
-from .sizing import THINNEST, LengthField, evened, limits
+from .remesh import EMBEDDED, divide, remesh
+from .sizing import THINNEST, LengthField, evened, separation
 from .stretching import metrics
+from .thickness import thin_lengths
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,22 +25,45 @@ if TYPE_CHECKING:
 
     Count = Callable[[Floats], float]
 
+PLACES, DISTINCT = 3, 2.0
+"""How many places are named, and how far apart they are, in units of h0."""
 CELL = np.sqrt(3) / 4
 """Area of a triangle over its squared edge length."""
 SMALLEST = 0.25
-"""The least length, in units of the largest, where none is asked for."""
+"""The least length beside creases, in units of the largest, where none is asked for."""
+LEAST = 0.03
+"""The least length at all, in units of h0: of shorter edges the margin of the certificate, which is
+in units of h0, would ask too much."""
+SAMPLES, MOST_SAMPLES = 20_000, 400_000
+"""Points at which the thickness is measured: at first, and at the most where there are to be many
+triangles."""
+PER_FACE = 2.0
+"""Such points for each triangle that there is to be, at the least."""
 FINEST, COARSEST = 0.25, 4.0
 """The same, and the largest, of varied lengths, in units of what even ones would be."""
 THIN = 0.8
-"""Edge of a triangle over the thickness that it still resolves, of varied lengths: these are short
-already where a thin part is curved."""
+"""Edge of a triangle over the distance of two creases, of varied lengths: these are short already
+where it matters."""
 LOOKS, LATER = 3, 12
 """How often the errors are looked at, and the iterations of remeshing after each look."""
+NEVER = 1_000_000
+"""An iteration that there is not."""
+FIRST = 12
+"""Iterations of remeshing before the first look."""
 NEAR = 0.02
 """Share of the triangles by which they may be missed before the lengths are scaled once more."""
 HALVINGS = 40
 THINNER = 1.25
 """Factor by which thin parts and gaps may get longer edges where there are not enough triangles."""
+
+
+class TooManyTriangles(Exception):
+    """The lengths take ``expected`` triangles; they are least, ``lengths (K,)``, at ``places
+    (K, 3)``, in model units."""
+
+    def __init__(self, expected: float, places: Floats, lengths: Floats) -> None:
+        super().__init__(expected, places, lengths)
+        self.expected, self.places, self.lengths = expected, places, lengths
 
 
 @dataclass(frozen=True)
@@ -51,6 +76,8 @@ class Spacing:
     longest: float | None = None
     faces: int | None = None
     """How many triangles there are to be; by default as many as have edges of ``length``."""
+    most: int = 10_000_000
+    """How many triangles there may be at the most."""
 
     @property
     def varied(self) -> bool:
@@ -61,27 +88,37 @@ class Spacing:
 
 def spaced(
     vertices: Floats, triangles: Ints, surface: TrueSurface, creases: Creases | None,
-    spacing: Spacing,
+    spacing: Spacing, exact: bool = False,
 ) -> tuple[Sized, int]:  # fmt: skip
     """The closed surface remeshed as ``spacing`` asks, and how many creases no edges follow.
 
-    Varied lengths are found by looking at the errors of a triangulation: they stand for the
-    curvature that its triangles cannot follow. Its own directions are those along which triangles
-    become longer, and across which shorter.
+    ``exact``: the triangles are those of the true surface, so creases are among their edges. Varied
+    lengths are found by looking at the errors of a triangulation: they stand for the curvature that
+    its triangles cannot follow. Its own directions are those along which triangles become longer,
+    and across which shorter. Raises TooManyTriangles.
     """
-    base, smallest, largest, thinnest = spacing.length, SMALLEST, 1.0, THINNEST
+    base, smallest, largest, apart = spacing.length, SMALLEST, 1.0, THINNEST
     if spacing.varied:
-        smallest, largest, thinnest = FINEST, COARSEST, THIN
+        smallest, largest, apart = FINEST, COARSEST, THIN
         if spacing.faces is not None:
             area = triangle_normals(vertices, triangles)[1].sum()
             base = float(np.sqrt(area / (CELL * spacing.faces)))
-    shortest = spacing.shortest or min(smallest * base, spacing.longest or np.inf)
-    longest = spacing.longest or max(largest * base, shortest)
-    points, most = limits(surface.samples, surface.normals, longest, creases, thinnest)
+    beside = spacing.shortest or min(smallest * base, spacing.longest or np.inf)
+    shortest = spacing.shortest or min(LEAST, beside)
+    longest = spacing.longest or max(largest * base, beside)
+    points, most = limits(vertices, triangles, creases, longest, beside, apart)
     field = LengthField(points, np.maximum(most, shortest))
-    mesh = Sized(vertices.copy(), triangles.copy(), np.zeros(len(vertices)))
+    mesh = Sized(vertices.copy(), triangles.copy(), field(vertices))
+    if spacing.faces is None:
+        on = slice(len(points) - (0 if creases is None else len(creases.dense)))
+        _check(vertices, triangles, points[on], field.lengths[on], most[on], spacing.most)
+    missed, embedded = 0, EMBEDDED
+    if exact:
+        if creases is not None:
+            missed, embedded = embed(mesh, creases), NEVER
+        divide(mesh, field, surface)
     if not spacing.varied:
-        return mesh, remesh(mesh, field, surface, creases)
+        return mesh, remesh(mesh, field, surface, creases, embedded=embedded) + missed
     wanted = np.full(len(points), base)
     even = field.graded(np.clip(most, shortest, base))
     faces = spacing.faces or _counting(mesh, field)(even)
@@ -90,7 +127,9 @@ def spaced(
         count = _counting(mesh, field)
         field.lengths = _fitted(count, field, wanted, most, (shortest, longest), faces / ratio)
         expected = count(field.lengths)
-        missed = remesh(mesh, field, surface, creases, *([LATER, 1] if look else []))
+        again = (LATER, 1) if look else (FIRST, embedded)
+        found = remesh(mesh, field, surface, creases, *again)
+        missed = found if look else found + missed
         if look >= LOOKS and abs(len(mesh.triangles) / faces - 1) < NEAR:
             break
         ratio = len(mesh.triangles) / expected
@@ -101,6 +140,46 @@ def spaced(
             field.metrics = metrics(mesh)[near]
             mesh.metric = field.metric
     return mesh, missed
+
+
+def limits(
+    vertices: Floats, triangles: Ints, creases: Creases | None, longest: float, beside: float,
+    apart: float,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Points of a surface and the largest lengths there, ``(N, 3), (N,)``: at most ``longest``,
+    less where the shape or a gap is thin, or creases are close to each other: ``apart`` times that
+    distance, but ``beside`` creases no less than that."""
+    count = SAMPLES
+    _, area = triangle_normals(vertices, triangles)
+    while True:
+        points, owner = sample_triangles(vertices, triangles, count, np.random.default_rng(0))
+        most = np.minimum(
+            thin_lengths(vertices, triangles, points, owner, creases, beside), longest
+        )
+        faces = area.sum() / CELL * (1 / np.maximum(most, LEAST) ** 2).mean()
+        if count >= min(MOST_SAMPLES, PER_FACE * faces):
+            break
+        count = int(min(MOST_SAMPLES, 2 * PER_FACE * faces))
+    if creases is not None:
+        close = apart * separation(creases.dense, creases.tangents, longest / apart)
+        most = np.append(most, np.clip(close, beside, longest))
+        points = np.concatenate([points, creases.dense])
+    return points, most
+
+
+def _check(
+    vertices: Floats, triangles: Ints, points: Floats, lengths: Floats, most: Floats, faces: int
+) -> None:
+    """Raise TooManyTriangles where ``lengths`` at ``points`` of the surface take more than
+    ``faces``; ``most`` are those before they were graded."""
+    area = triangle_normals(vertices, triangles)[1].sum()
+    expected = float(area / CELL * (1 / lengths**2).mean())
+    if expected > faces:
+        worst, left = [], np.argsort(most, kind="stable")
+        while len(left) and len(worst) < PLACES:
+            worst.append(int(left[0]))
+            left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > DISTINCT]
+        raise TooManyTriangles(expected, points[worst], most[worst])
 
 
 def _fitted(
