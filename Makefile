@@ -21,7 +21,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 ifndef SHAPES
 .NOTPARALLEL:
 endif
-.PHONY: pictures-edges table-spacing lamp run shapes test test-all test-slurm concurrency kills write-points corruptions bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
+.PHONY: pictures-edges table-spacing corpus lamp run shapes test test-all test-slurm concurrency kills write-points corruptions bench bench-init bench-solvers bench-stages bench-overhead bench-volume side-by-side table table-clouds table-views table-photos table-baseline table-lamps tables bench-images table-found table-scales table-inputs check packages schemas pictures clean always
 
 lamp:
 	@$(MAKE) --no-print-directory run INPUT=bunny.obj
@@ -106,6 +106,11 @@ TABLE_FACES ?= triangle
 table: $(VENV)/installed
 	$(BIN)/python tests/benchmarks/surfaces.py -n $(N) --faces $(TABLE_FACES) \
 		$(if $(PEER),--peer $(PEER)) $(foreach shape,$(MESHES),$(or $(wildcard $(shape)/*.ply),$(shape)))
+
+# Shapes of known topology, made by exact solids: certificate, topology, distance, time, one by one.
+COUNT ?= 200
+corpus: $(VENV)/tested-with
+	$(BIN)/python tests/corpus.py -n $(N) --count $(COUNT) --folder corpus
 
 # Varied edge lengths beside even ones, with the same number of triangles.
 FACES_TARGET ?= 4000

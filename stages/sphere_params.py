@@ -60,6 +60,12 @@ class Params(contract.Params):
     """Largest edge length in h0."""
     faces_target: Annotated[int, Range(100, 10_000_000)] | None = None
     """How many triangles there are to be, within 5 %; with --refine the most."""
+    max_faces: Annotated[int, Range(100, 100_000_000)] = 400_000
+    """The most triangles that thin parts and gaps may ask for; a shape that needs more is refused
+    before the training."""
+    allow_uncertified: bool = False
+    """Write the interface of the diagram where the triangles get no certificate, in place of ending
+    with an error."""
     refine: Annotated[float, Range(1e-6, 10)] | None = None
     """Distance from the shape in h0 from which on triangles are divided and trained again
     (triangles)."""
@@ -157,7 +163,9 @@ class Params(contract.Params):
         faces = self.faces_target
         if faces is not None and self.refine is not None:
             faces //= 2
-        return Spacing(self.value("edge_length"), self.spacing_min, self.spacing_max, faces)
+        return Spacing(
+            self.value("edge_length"), self.spacing_min, self.spacing_max, faces, self.max_faces
+        )
 
     def weights(self, *names: str) -> dict[str, float]:
         return {name: self.value(f"weight_{name}") for name in names}

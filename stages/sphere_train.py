@@ -11,12 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from . import torch_start
 from .contract import Context, Outcome, Stage
+from .errors import NumericalFailure
 from .memory import peak
 from .sphere_params import DEFAULTS, Params
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .surface.model_frame import ModelFrame
     from .surface.polygons import Floats, PolygonMesh
+    from .voronoi.certificate import Certificate
 
 SMALLEST_OFFSET = 0.05
 """In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
@@ -40,6 +44,7 @@ def _triangles(context: Context) -> Outcome:
     import numpy as np
 
     from .optimize.refinement import Refine
+    from .optimize.triangles import resisting as where
     from .optimize.triangles import train_triangles
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
@@ -56,6 +61,10 @@ def _triangles(context: Context) -> Outcome:
         None if params.refine is None else Refine(params.refine, params.faces_target),
     )
     spheres = done.spheres
+
+    def resisting() -> str:
+        return f"another face's generator is in {where(spheres, frame, context.threads)}"
+
     trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
     count = trained.face_count
     points, square = spheres.generators()
@@ -71,6 +80,7 @@ def _triangles(context: Context) -> Outcome:
         done.history,
         done.facts(),
         done.warnings() + _on_cpu(context),
+        resisting,
     )
 
 
@@ -201,8 +211,12 @@ def _outcome(
     history: Floats,
     metrics: dict[str, Any],
     warnings: list[str],
+    resisting: Callable[[], str] | None = None,
 ) -> Outcome:
-    """The certificate, the surface it allows to write, and the files in the input's coordinates."""
+    """The certificate, the surface it allows to write, and the files in the input's coordinates.
+
+    Raises NumericalFailure where triangles have no certificate and must: ``resisting`` says where.
+    """
     from .export import ply
     from .metrics import watertight
     from .optimize.descent import TERMS
@@ -211,7 +225,16 @@ def _outcome(
 
     params, count = context.params, trained.face_count
     merge = 0.0 if params.faces == "triangle" else params.merge
-    found = written(trained, radii, inside, outside, merge, context.threads)
+
+    def refused(certificate: Certificate) -> None:
+        if resisting is not None and not params.allow_uncertified:
+            raise NumericalFailure(
+                f"no certificate ({', '.join(certificate.failed)} fails): {resisting()}; raise "
+                "-n, lower --edge-length, or try --sharp off; --allow-uncertified writes the "
+                "surface as the diagram has it"
+            )
+
+    found = written(trained, radii, inside, outside, merge, context.threads, refused)
     warnings = warnings + found.warnings(count, merge)
     facts, expected = topology(found.mesh), context.source().topology()
     if expected is not None and expected != (facts.euler_number, facts.components):
@@ -239,6 +262,9 @@ def _outcome(
         metrics={
             "trained_faces": count,
             "topology": vars(facts),
+            "topology_of_input": None
+            if expected is None
+            else {"euler_number": expected[0], "components": expected[1]},
             "trained_topology": vars(topology(trained)),
             **found.facts(),
             "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},

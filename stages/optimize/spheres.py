@@ -77,13 +77,20 @@ class Spheres:
 
     def intruded(self, threads: int) -> NDArray[np.bool_]:
         """Vertices whose sphere holds a generator not its own, or a triangle without a pair."""
+        return self.intrusion(threads) > 0
+
+    def intrusion(self, threads: int) -> Floats:
+        """How far inside the sphere of each vertex there is a generator not its own, as a power in
+        edge lengths squared, ``(V,)``; 1 at a triangle without a pair, 0 where all is well."""
         points, square = self.generators()
         mesh = PolygonMesh.of_triangles(self.centres, self.triangles)
         point, sphere = near_pairs(mesh, points, self.centres, self.radii, 0.02, threads)
         power = ((points[point] - self.centres[sphere]) ** 2).sum(axis=1) - self.radii[sphere] ** 2
-        found = np.zeros(len(self.centres), dtype=bool)
-        found[sphere[power < SAFE]] = True
-        found[self.triangles[square <= (SMALLEST * self.face_lengths) ** 2]] = True
+        found = np.zeros(len(self.centres))
+        wrong = power < SAFE
+        depth = (2 * SAFE - power[wrong]) / self.lengths[sphere[wrong]] ** 2
+        np.maximum.at(found, sphere[wrong], depth)
+        found[self.triangles[square <= (SMALLEST * self.face_lengths) ** 2]] = 1.0
         return found
 
     def as_mesh(self) -> Sized:

@@ -15,7 +15,8 @@ from ..surface.creases import Creases, deviation
 from ..surface.geometry import fan_triangles
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.spacing import Spacing, TooManyTriangles, spaced
+from ..surface.spacing import Spacing, TooManyTriangles, distinct, spaced
+from ..surface.thickness import thickness
 from ..surface.topology import topology
 from .conforming import ROUND, Leg, conform
 from .descent import TERMS
@@ -150,7 +151,7 @@ def train_triangles(
             spheres, free, history, surface, creases,
             Leg(ROUND if times else iterations, weights),
             {"missed": missed, "refined": times, "repairs": repairs},
-            context.checkpoints, context.progress, context.threads,
+            context.checkpoints, context.progress, context.threads, spacing.most,
         )  # fmt: skip
         repairs += rounds
         further = None
@@ -187,6 +188,23 @@ def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool]:
             return vertices, triangles, True
     vertices, triangles = fan_triangles(initial)[:2]
     return frame.model_from_input(vertices), triangles, False
+
+
+def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
+    """Where spheres hold generators of other faces: the worst places, in the input's coordinates,
+    with the thickness there."""
+    depth = spheres.intrusion(threads)
+    worst = distinct(spheres.centres, -depth, depth > 0)
+    at = frame.input_from_model(spheres.centres[worst])
+    owner = np.array([np.flatnonzero((spheres.triangles == vertex).any(axis=1))[0]
+                      for vertex in worst], np.int64)  # fmt: skip
+    thick = frame.spacing * thickness(spheres.centres, spheres.triangles, owner)
+    named = [
+        f"({', '.join(f'{x:.6g}' for x in place)})"
+        + (f", {thin:.3g} thick" if np.isfinite(thin) else "")
+        for place, thin in zip(at, thick, strict=True)
+    ]
+    return f"{int((depth > 0).sum())} of {len(depth)} spheres, worst at {'; '.join(named)}"
 
 
 def _too_many(error: TooManyTriangles, frame: ModelFrame, spacing: Spacing) -> str:

@@ -24,6 +24,8 @@ ROUNDING = 1e-6
 """In cells."""
 LEVEL = 0.5
 """Winding number from which a point is inside an open mesh."""
+ULPS = 4.0
+"""Roundings of single precision, at the size of the coordinates, within which vertices are one."""
 SHEET = 0.5
 """Sureness below which a mesh is taken as a sheet."""
 UNSURE = 0.25
@@ -33,11 +35,42 @@ SAMPLES = 20_000
 
 
 def welded(mesh: PolygonMesh) -> PolygonMesh:
-    """``mesh`` with one vertex at every place, so that neighbours share edges."""
+    """``mesh`` with one vertex at every place, so that neighbours share edges; vertices of open
+    edges that are as near as single precision tells are one too, if more edges are closed then."""
     places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    return PolygonMesh(
+    exact = PolygonMesh(
         places, mesh.face_offsets, same.reshape(-1)[mesh.face_vertices].astype(np.int64)
     )
+    loose = np.unique(bad_edges(exact))
+    if len(loose) == 0:
+        return exact
+    nearly = _joined(exact, loose)
+    return nearly if len(bad_edges(nearly)) < len(bad_edges(exact)) else exact
+
+
+def _joined(mesh: PolygonMesh, loose: Ints) -> PolygonMesh:
+    """``mesh`` with those vertices ``loose (L,)`` that are within a few roundings of single
+    precision of each other as one; faces that have no area then are left out."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    at = mesh.vertices[loose]
+    reach = ULPS * float(np.finfo(np.float32).eps) * float(np.abs(mesh.vertices).max())
+    pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(loose),) * 2)
+    _, group = connected_components(graph, directed=False)
+    _, first = np.unique(group, return_index=True)
+    number = np.arange(mesh.vertex_count)
+    number[loose] = loose[first[group]]
+    corners = number[mesh.face_vertices]
+    # Repeated corners go, and faces of fewer than three.
+    kept = corners != corners[mesh.next_corners]
+    count = np.bincount(mesh.corner_faces[kept], minlength=mesh.face_count)
+    kept &= count[mesh.corner_faces] >= 3
+    count = count[count >= 3]
+    offsets = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    return PolygonMesh(mesh.vertices, offsets, corners[kept]).without_unused_vertices()
 
 
 class TriangleSource(ABC):
@@ -196,6 +229,7 @@ class MeshSource(TriangleSource):
             "open_edges": len(bad_edges(welded(self.loaded.polygons))),
             "doubled_faces": self.winding.doubled if self.open_edges else 0,
             "turned_faces": self.winding.turned if self.open_edges else 0,
+            "welded_vertices": self.polygons.vertex_count - self.welded.vertex_count,
             "sureness": round(self.sureness, 4),
         }
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..optimize.fitting import vertex_errors
 from .creases import embed
@@ -167,6 +168,16 @@ def limits(
     return points, most
 
 
+def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
+    """Up to PLACES of ``points (N, 3)`` with the least ``value (N,)``, apart from each other."""
+    left = np.flatnonzero(among)
+    left, found = left[np.argsort(value[left], kind="stable")], []
+    while len(left) and len(found) < PLACES:
+        found.append(left[0])
+        left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > DISTINCT]
+    return np.array(found, dtype=np.int64)
+
+
 def _check(
     vertices: Floats, triangles: Ints, points: Floats, lengths: Floats, most: Floats, faces: int
 ) -> None:
@@ -175,10 +186,7 @@ def _check(
     area = triangle_normals(vertices, triangles)[1].sum()
     expected = float(area / CELL * (1 / lengths**2).mean())
     if expected > faces:
-        worst, left = [], np.argsort(most, kind="stable")
-        while len(left) and len(worst) < PLACES:
-            worst.append(int(left[0]))
-            left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > DISTINCT]
+        worst = distinct(points, most, np.ones(len(points), dtype=bool))
         raise TooManyTriangles(expected, points[worst], most[worst])
 
 

@@ -46,6 +46,23 @@ def across(
     return distance, cosine
 
 
+def thickness(vertices: Floats, triangles: Ints, owner: Ints) -> Floats:
+    """Of the shape or the gap, whichever is thinner, at the middle of triangles ``owner (S,)``;
+    infinity where there is no opposite sheet."""
+    points = vertices[triangles[owner]].mean(axis=1)
+    return np.asarray(across(*_searched(vertices, triangles), points, owner)[0].min(axis=0))
+
+
+def _searched(vertices: Floats, triangles: Ints) -> tuple[Any, Floats, Ints, Floats]:
+    """A tree of the triangles, what it was made of, and their normals."""
+    import igl
+
+    vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
+    tree = igl.AABB()
+    tree.init(vertices, triangles)
+    return tree, vertices, triangles, triangle_normals(vertices, triangles)[0]
+
+
 def thin_lengths(
     vertices: Floats,
     triangles: Ints,
@@ -59,13 +76,7 @@ def thin_lengths(
     Towards a crease at which two sheets meet in a wedge the thickness goes to zero; edges beside
     it need not be shorter than ``shortest_at_creases``.
     """
-    import igl
-
-    vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
-    tree = igl.AABB()
-    tree.init(vertices, triangles)
-    normals, _ = triangle_normals(vertices, triangles)
-    mesh = tree, vertices, triangles, normals, points, owner
+    mesh = *_searched(vertices, triangles), points, owner
     distance, cosine = across(*mesh)
     share = np.where(_round(*mesh, distance.min(axis=0)), ROUND, FLAT)
     if creases is not None:

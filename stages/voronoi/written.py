@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,16 +75,21 @@ class Written:
 
 
 def written(
-    trained: PolygonMesh, radii: Floats, inside: Floats, outside: Floats, merge: float, threads: int
-) -> Written:
+    trained: PolygonMesh, radii: Floats, inside: Floats, outside: Floats, merge: float,
+    threads: int, refused: Callable[[Certificate], None] = lambda certificate: None,
+) -> Written:  # fmt: skip
     """The trained faces if the certificate holds; else the interface of ``inside, outside (F, 3)``,
     vertices within ``merge`` of a trained one drawn to it where its topology stays (0: as it is).
+
+    ``refused`` is called with a certificate that does not hold, before anything else is done.
     """
     count = trained.face_count
     generators = np.concatenate([inside, outside])
     labels, owner = np.arange(2 * count) < count, np.arange(2 * count) % count
     pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
     certificate = certify(trained, radii, generators, labels, pairs, threads)
+    if not certificate.holds:
+        refused(certificate)
     raw = interface(generators, labels)
     agreement = conformity(raw, owner, trained, radii, inside, outside, 1.0, threads)
     compared = clean(raw, spacing=1.0, merge=MERGE)
