@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from . import contract, torch_start
 from .contract import Context, Outcome, Positive, Range, Stage
+from .errors import InputError
 from .memory import peak
 
 if TYPE_CHECKING:
@@ -252,6 +253,8 @@ def _first_generators(
             break
         start, inside, _ = without_islands(start, inside, smallest=SPECK)
         raw = interface(start, inside)
+        if raw.mesh.face_count == 0:
+            continue
         kept = np.zeros(len(start), dtype=bool)
         kept[raw.generators] = True
         kept[-FAR:] = True  # while the others move, these bound the diagram
@@ -263,7 +266,11 @@ def _first_generators(
             best = wrong, start[kept], inside[kept], levels
         if wrong == 0:
             break
-    assert best is not None
+    if best is None:
+        raise InputError(
+            f"{source.path or source.name}: the shape is so thin everywhere that no generator lies "
+            f"inside, with voxels of {grid.spacing:.4g}: raise -n"
+        )
     return *best[1:], expected
 
 

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import Cli, random_rotation, sphere_mesh, surface_of, torus_mesh, write_ply
 
+from vorolight.stages import classify, init, pipeline, sphere_train, standing
+from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.losses import conforming
+from vorolight.stages.optimize import conforming as conforming_training
 from vorolight.stages.optimize.descent import TERMS, Problem, descend
 from vorolight.stages.optimize.least_squares import Block, GaussNewton
 from vorolight.stages.optimize.polygons import Paired, PairedProblem
 from vorolight.stages.optimize.sphere_problem import SphereProblem
 from vorolight.stages.optimize.spheres import Spheres
+from vorolight.stages.sources.resolve import identify
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.creases import Chain, Creases
 from vorolight.stages.surface.dual import dual
@@ -305,6 +311,44 @@ def test_the_paper_preset_splits_polygons_at_their_centroids(tmp_path: Path, cli
     assert record["metrics"]["trained_topology"]["faces"] > 3 * started["faces"]
     assert not record["metrics"]["certificate"]["holds"]
     assert any("no certificate" in warning for warning in record["warnings"])
+
+
+def test_without_a_certificate_training_ends_with_the_places(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conforming_training, "ROUNDS", 0)
+    path = write_ply(tmp_path / "ring.ply", *torus_mesh(1.0, 0.3, 40, 16))
+    session = standing.Session(RunFolder(tmp_path / "ring.vorolight"), identify(str(path)))
+    pipeline.execute(session, "classify", classify.Params(n_init=8))
+    pipeline.execute(session, "init", init.Params(iterations=0))
+    with pytest.raises(NumericalFailure, match=r"no certificate .* worst at \(.* thick") as caught:
+        pipeline.execute(session, "sphere-train", sphere_train.Params(iterations=0))
+    places = re.findall(r"\(([-\d.e]+), ([-\d.e]+), ([-\d.e]+)\)", str(caught.value))
+    assert 1 <= len(places) <= 3
+    around = np.array(places, float)
+    off = np.hypot(np.hypot(around[:, 0], around[:, 1]) - 1, around[:, 2]) - 0.3
+    assert np.abs(off).max() < 0.05
+    assert not (tmp_path / "ring.vorolight" / "sphere-train.json").exists()
+    params = sphere_train.Params(iterations=0, allow_uncertified=True)
+    done = pipeline.execute(session, "sphere-train", params).manifest
+    assert not done["metrics"]["certificate"]["holds"]
+    assert any("no certificate" in warning for warning in done["warnings"])
+
+
+def test_what_takes_too_many_triangles_is_refused_before_training(tmp_path: Path, cli: Cli) -> None:
+    box = trimesh.creation.box((4.0, 3.0, 0.02))
+    path = write_ply(tmp_path / "sheet.ply", box.vertices, box.faces)
+    words = ["-n", 8, "--init-iterations", 0, "--until", "sphere-train"]
+    done = cli("run", path, *words, "--max-faces", 3000, cwd=tmp_path)
+    assert done.returncode == 6
+    assert "more than --max-faces 3000" in done.stderr
+    assert done.stderr.count("edges of 0.01") == 3
+    assert not (tmp_path / "sheet.vorolight" / "sphere-train.json").exists()
+    box = trimesh.creation.box((4.0, 3.0, 0.002))
+    path = write_ply(tmp_path / "foil.ply", box.vertices, box.faces)
+    done = cli("run", path, *words, cwd=tmp_path)
+    assert done.returncode == 6
+    assert "more than --max-faces 400000" in done.stderr
 
 
 def test_losses_that_an_input_does_not_have(tmp_path: Path, cli: Cli) -> None:

@@ -10,6 +10,7 @@ from conftest import sphere_mesh, surface_of, torus_mesh, write_ply
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vorolight.stages.metrics.intersections import self_intersections
 from vorolight.stages.sources.fields import FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.parity import RayParity
@@ -17,6 +18,7 @@ from vorolight.stages.sources.projection import ClosestPoint, closest_on_triangl
 from vorolight.stages.sources.true_surface import TrueSurface, true_surface
 from vorolight.stages.surface import geometry
 from vorolight.stages.surface.edge_table import EdgeTable, Sized
+from vorolight.stages.surface.embedding import kept_embedded
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.remesh import remesh
@@ -201,3 +203,23 @@ def test_mirrored_generators_make_a_shell_that_its_voxels_cannot(tmp_path: Path)
     generators, inside = mirrored(surface, interior, 2, np.random.default_rng(0))
     found = topology(interface(generators, inside).mesh)
     assert (found.euler_number, found.components) == (4, 2) == source.topology()
+
+
+def test_moves_that_would_make_triangles_cross_are_taken_back() -> None:
+    vertices, triangles = sphere_mesh(1.0, 3)
+    aside, up = np.array([1.05, 0, 0]), np.array([0, 0, 0.1])
+    both = np.concatenate([vertices - aside, vertices + aside])
+    corners = np.concatenate([triangles, len(vertices) + triangles])
+    left = np.arange(len(both)) < len(vertices)
+    # The left ball grows towards the right one, and upwards.
+    after = both + np.where((left & (both[:, 0] > -0.3))[:, None], [0.3, 0, 0], 0)
+    after = after + np.where((left & (both[:, 2] > 0.9))[:, None], [0, 0, 0.2], 0)
+    assert len(self_intersections(after, corners)) > 0
+    kept = kept_embedded(both, after, corners)
+    assert len(self_intersections(kept, corners)) == 0
+    assert kept[left, 2].max() == pytest.approx(1.2)
+    assert (kept[~left] == both[~left]).all()
+    # What crossed before is no reason to put anything back.
+    crossing = both - np.where(left[:, None], [-0.2, 0, 0], 0)
+    again = kept_embedded(crossing, crossing + up, corners)
+    assert again == pytest.approx(crossing + up)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.randomness import generator
 from vorolight.stages.errors import InputError
+from vorolight.stages.export import ply
 from vorolight.stages.sources import voxels
 from vorolight.stages.sources.fields import FIELDS, FieldSource
 from vorolight.stages.sources.mesh import MeshSource
@@ -23,6 +24,7 @@ from vorolight.stages.sources.true_surface import true_surface
 from vorolight.stages.sources.voxels import VoxelGrid
 from vorolight.stages.surface.geometry import enclosed_volume
 from vorolight.stages.surface.model_frame import ModelFrame
+from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.voronoi.interface import interface
 from vorolight.stages.voronoi.reflection import reflect
 
@@ -323,3 +325,26 @@ def test_a_mesh_that_encloses_nothing_is_a_sheet(tmp_path: Path) -> None:
     assert np.array_equal(again.vertices, source.vertices)
     with pytest.raises(InputError, match="too thin"):
         thickened(source.loaded.polygons, 1e-6, "square")
+
+
+def test_vertices_equal_in_single_precision_are_welded(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    random = np.random.default_rng(0)
+    soup = vertices[triangles.reshape(-1)] + [10.0, 0, 0]
+    soup = soup + 1e-7 * random.normal(size=soup.shape)
+    faces = np.arange(len(soup)).reshape(-1, 3)
+    source = MeshSource(write_ply(tmp_path / "soup.ply", soup, faces))
+    assert source.topology() == (2, 1)
+    assert source.describe()["welded_vertices"] == len(soup) - len(vertices)
+    # What is further apart stays so: a slit of a thousandth is none of rounding.
+    slit = soup + np.where((faces % 3 == 0).reshape(-1, 1), [0, 0, 1e-3], 0)
+    assert MeshSource(write_ply(tmp_path / "slit.ply", slit, faces)).topology() is None
+
+
+def test_features_smaller_than_rounding_are_kept_where_a_mesh_is_closed(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    tiny = np.concatenate([vertices, 1e-7 * vertices + [3.0, 0, 0]])
+    both = np.concatenate([triangles, len(vertices) + triangles])
+    path = tmp_path / "two.ply"
+    path.write_bytes(ply.encode(PolygonMesh.of_triangles(tiny, both)))  # in double precision
+    assert MeshSource(path).topology() == (4, 2)

@@ -113,9 +113,9 @@ def conform(
             # What conformity needs gets its full weight by and by.
             ramp = [1.0 if number else min(1.0, 2 * (i + 1) / count) for i in range(first, last)]
             problem = SphereProblem(spheres, surface, creases, weights, free, threads)
-            before = spheres.centres
+            start = spheres.centres
             spheres, losses, damping = descend(problem, spheres, ramp, damping)
-            centres = kept_embedded(before, spheres.centres, spheres.triangles)
+            centres = kept_embedded(start, spheres.centres, spheres.triangles)
             spheres = replace(spheres, centres=centres)
             if not number:
                 history = np.concatenate([history, losses])

@@ -171,9 +171,10 @@ def limits(
 def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
     """Up to PLACES of ``points (N, 3)`` with the least ``value (N,)``, apart from each other."""
     left = np.flatnonzero(among)
-    left, found = left[np.argsort(value[left], kind="stable")], []
+    left = left[np.argsort(value[left], kind="stable")]
+    found: list[int] = []
     while len(left) and len(found) < PLACES:
-        found.append(left[0])
+        found.append(int(left[0]))
         left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > DISTINCT]
     return np.array(found, dtype=np.int64)
 
@@ -184,7 +185,9 @@ def _check(
     """Raise TooManyTriangles where ``lengths`` at ``points`` of the surface take more than
     ``faces``; ``most`` are those before they were graded."""
     area = triangle_normals(vertices, triangles)[1].sum()
-    expected = float(area / CELL * (1 / lengths**2).mean())
+    # What is thinner than the least length allows asks for shorter edges all the same.
+    needed = np.minimum(lengths, np.maximum(most, 0.25 * LEAST))
+    expected = float(area / CELL * (1 / needed**2).mean())
     if expected > faces:
         worst = distinct(points, most, np.ones(len(points), dtype=bool))
         raise TooManyTriangles(expected, points[worst], most[worst])
