@@ -85,6 +85,7 @@ def test_derivatives_of_spheres_against_finite_differences(tmp_path: Path) -> No
         spheres, radii=spheres.radii * (0.7 + 0.5 * random.random(42)), hold=random.random(42),
         rank=np.where(np.arange(42) < 2, 2, np.where(np.arange(42) < 9, 1, 0)),
     )  # fmt: skip
+    spheres = replace(spheres, room=0.8 + 0.2 * random.random(42))
     creases = Creases([Chain(np.array([[-1.2, 0, 0.9], [0.1, 0.3, 1.0], [1.1, 0.2, 0.7]]), False)])
     weights = {"intersection": 3.0, "exclusion": 2.0, "shape": 5.0, "normal": 0.3, "smooth": 0.7,
                "radius": 0.4}  # fmt: skip
@@ -126,6 +127,21 @@ def squeezed(height: float) -> Spheres:
 
 WEIGHTS = {"intersection": 30.0, "exclusion": 30.0, "shape": 100.0, "normal": 0.0, "smooth": 0.02,
            "radius": 0.02}  # fmt: skip
+
+
+@pytest.mark.parametrize("degrees", [20, 45, 90, 150])
+def test_acute_creases_ask_for_less_room(degrees: float) -> None:
+    angle = np.radians(degrees)
+    outline = np.array([[0, 0, 0], [4, 0, 0], [4 * np.cos(angle), 4 * np.sin(angle), 0]])
+    wedge = trimesh.convex.convex_hull(np.concatenate([outline, outline + np.array([0, 0, 4.0])]))
+    corners = np.asarray(wedge.vertices)
+    edge = np.flatnonzero(np.linalg.norm(corners[:, :2], axis=1) < 1e-9)
+    mesh = Sized(corners, np.asarray(wedge.faces, np.int64), np.ones(6))
+    mesh.creases = np.array([[*edge, 0]])
+    expected = min(1.0, np.tan(angle / 2))
+    room = Spheres.at(mesh).room
+    assert room[edge] == pytest.approx(expected)
+    assert np.delete(room, edge) == pytest.approx(1)
 
 
 def test_pairs_that_are_far_from_existing_have_derivatives(tmp_path: Path) -> None:

@@ -233,7 +233,7 @@ def test_creases_that_are_given_up_are_counted() -> None:
     ones = np.ones(len(corners))
 
     def given_up(edges: np.ndarray, missed: int) -> Trained:
-        spheres = Spheres(corners, ones, triangles, ones, ones, ones, 0 * whole[:, 0], edges)
+        spheres = Spheres(corners, ones, triangles, ones, ones, ones, 0 * whole[:, 0], edges, ones)
         return Trained(spheres, np.zeros((0, 4)), 0, False, Creases([line]), missed, None, None)
 
     assert given_up(whole, 0).given_up == 0

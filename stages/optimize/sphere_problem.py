@@ -18,7 +18,7 @@ from ..surface.spheres import near_pairs
 from .fitting import Rows, backward, forward
 from .laplacian import Laplacian
 from .least_squares import Block
-from .spheres import SAFE, SMALLEST, Spheres
+from .spheres import SAFE, Spheres
 
 if TYPE_CHECKING:
     from ..sources.true_surface import TrueSurface
@@ -29,8 +29,8 @@ SLACK = 0.15
 RADII = (0.3, 1.3)
 """Limits of the radii, in edge lengths."""
 OFFSET = 0.35
-"""``delta_f`` below which a pair is penalised, in edge lengths; more asks for room that thin parts
-have not."""
+"""``delta_f`` below which a pair is penalised, in edge lengths, where it has all its room;
+more asks for what thin parts have not."""
 MARGIN = 0.02
 """Power below which a generator that is not a sphere's own is penalised, in edge lengths
 squared; twice SAFE where that is more."""
@@ -91,6 +91,7 @@ class SphereProblem:
         self.count = len(spheres.centres)
         self.margin = np.maximum(MARGIN, 2 * SAFE / spheres.lengths**2)
         self.length, self.face_length = spheres.lengths, spheres.face_lengths
+        self.offset = OFFSET * spheres.face_room
         centres, triangles = spheres.centres, spheres.triangles
         if not np.isfinite(centres).all():
             raise NumericalFailure("a surface vertex is not finite: the training diverged")
@@ -139,7 +140,7 @@ class SphereProblem:
         height = np.einsum("ij,ij->i", bend, self.normal)
         return {
             "intersection": self.strict["intersection"]
-            * _softened(np.maximum(0.0, OFFSET**2 - square / self.face_length**2)),
+            * _softened(np.maximum(0.0, self.offset**2 - square / self.face_length**2)),
             "exclusion": self.strict["exclusion"]
             * np.maximum(0.0, self.margin[sphere] - power / self.length[sphere] ** 2),
             "shape": np.concatenate(
@@ -162,7 +163,7 @@ class SphereProblem:
             pairs.centre[row], triangles[row], centres, radii
         )
         # The derivative of what is softened.
-        short = OFFSET**2 - pairs.square[row] / self.face_length[row] ** 2
+        short = self.offset[row] ** 2 - pairs.square[row] / self.face_length[row] ** 2
         slope = -self.strict["intersection"] / np.maximum(1.0, short)
         values = values * (slope / self.face_length[row] ** 2)[:, None]
         blocks.append(Block.dense(columns, values, residuals["intersection"][row]))
@@ -170,7 +171,7 @@ class SphereProblem:
         # follows no sphere.
         row = np.flatnonzero(residuals["exclusion"])
         point, sphere = self.near[0][row], self.near[1][row]
-        floor = (SMALLEST * self.face_length) ** 2
+        floor = state.smallest**2
         face = point % count
         columns, values = conforming.power_gradient(
             pairs.points(floor)[point], triangles[face], sphere, centres, radii

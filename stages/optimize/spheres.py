@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..losses import conforming
 from ..surface.edge_table import EdgeTable, Sized
 from ..surface.geometry import limited
+from ..surface.operations import fold_cosines
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.spheres import near_pairs
 
@@ -19,6 +20,8 @@ FIRST_RADIUS = 0.8
 """In edge lengths."""
 SMALLEST = 0.1
 """``delta_f`` that stands for a missing pair while there is none, in edge lengths."""
+LEAST_ROOM = 0.05
+"""Of what is folded flat, whose pairs would have no room at all."""
 SAFE = 2e-5
 """Smallest power, in units of h0^2, that lets a generator pass as outside a sphere."""
 
@@ -40,6 +43,9 @@ class Spheres:
     """0 for a vertex that is free, 1 on a crease, 2 at a corner."""
     creases: Ints
     """The edges on creases: their ends and the number of their chain, ``(K, 3)``."""
+    room: Floats
+    """Share of a pair's usual offset at each vertex, less on creases of acute angles: in a wedge
+    both generators of a face must lie on its own side of the middle."""
 
     @classmethod
     def at(cls, mesh: Sized) -> Spheres:
@@ -47,7 +53,7 @@ class Spheres:
         ones = np.ones_like(length)
         return cls(
             mesh.vertices, FIRST_RADIUS * length, mesh.triangles, length, ones, 0 * ones,
-            mesh.rank, mesh.creases,
+            mesh.rank, mesh.creases, _room(mesh),
         )  # fmt: skip
 
     @classmethod
@@ -59,6 +65,15 @@ class Spheres:
     def face_lengths(self) -> Floats:
         return np.asarray(self.lengths[self.triangles].mean(axis=1))
 
+    @property
+    def smallest(self) -> Floats:
+        """The offset ``(F,)`` that stands for a missing pair."""
+        return SMALLEST * self.face_room * self.face_lengths
+
+    @property
+    def face_room(self) -> Floats:
+        return np.asarray(self.room[self.triangles].min(axis=1))
+
     def pairs(self) -> conforming.Pairs:
         return conforming.radical_pairs(self.centres, self.radii, self.triangles)
 
@@ -68,7 +83,7 @@ class Spheres:
         What stands for a missing pair stays near its triangle, however far its spheres are from
         meeting: the diagram has to be bounded.
         """
-        pairs, floor = self.pairs(), (SMALLEST * self.face_lengths) ** 2
+        pairs, floor = self.pairs(), self.smallest**2
         middle = self.centres[self.triangles].mean(axis=1)
         near = middle + limited(pairs.centre - middle, self.face_lengths)
         missing = pairs.square <= floor
@@ -90,7 +105,7 @@ class Spheres:
         wrong = power < SAFE
         depth = (2 * SAFE - power[wrong]) / self.lengths[sphere[wrong]] ** 2
         np.maximum.at(found, sphere[wrong], depth)
-        found[self.triangles[square <= (SMALLEST * self.face_lengths) ** 2]] = 1.0
+        found[self.triangles[square <= self.smallest**2]] = 1.0
         return found
 
     def as_mesh(self) -> Sized:
@@ -102,8 +117,22 @@ class Spheres:
     def of_mesh(cls, mesh: Sized) -> Spheres:
         radii, hold, age = mesh.carried.T[:3]
         return cls(
-            mesh.vertices, radii, mesh.triangles, mesh.length, hold, age, mesh.rank, mesh.creases
-        )
+            mesh.vertices, radii, mesh.triangles, mesh.length, hold, age, mesh.rank, mesh.creases,
+            _room(mesh),
+        )  # fmt: skip
+
+
+def _room(mesh: Sized) -> Floats:
+    """The tangent of half the angle between the two sides of a crease, at most 1, ``(V,)``."""
+    room = np.ones(len(mesh.vertices))
+    if len(mesh.creases):
+        table = EdgeTable.of(mesh.triangles)
+        table = table.rows(mesh.on_crease(table.ends))
+        cosine, _ = fold_cosines(mesh, table)
+        share = np.sqrt((1 + cosine) / np.maximum(1 - cosine, np.finfo(float).tiny))
+        share = np.clip(share, LEAST_ROOM, 1.0)
+        np.minimum.at(room, table.ends.reshape(-1), np.repeat(share, 2))
+    return room
 
 
 def edge_lengths(vertices: Floats, triangles: Ints) -> Floats:
