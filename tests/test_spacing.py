@@ -157,6 +157,16 @@ def test_what_would_take_too_many_triangles_is_refused_at_its_thinnest_place(
     assert np.abs(caught.value.places[:, 2]) == pytest.approx(0.025)
 
 
+def test_folds_of_a_first_surface_are_not_taken_for_thin_parts(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(3.0, 3)
+    surface = surface_of(tmp_path / "ball.ply", (vertices, triangles))
+    random = np.random.default_rng(0)
+    first = vertices + 0.15 * random.normal(size=vertices.shape)
+    assert limits(first, triangles, None, 0.8, 0.2, 0.6)[1].min() < 0.5
+    mesh, _ = spaced(first, triangles, surface, None, Spacing(0.8))
+    assert mesh.length == pytest.approx(0.8)
+
+
 def test_an_inputs_own_triangles_are_divided_without_a_vertex_moved(tmp_path: Path) -> None:
     box = trimesh.creation.box((8.0, 0.3, 0.1))
     vertices, triangles = np.asarray(box.vertices), np.asarray(box.faces)

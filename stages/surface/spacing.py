@@ -14,7 +14,7 @@ from .edge_table import Sized
 from .geometry import sample_triangles, triangle_normals
 from .polygons import Floats, Ints
 from .remesh import EMBEDDED, divide, remesh
-from .sizing import THINNEST, LengthField, evened, separation
+from .sizing import THINNEST, LengthField, evened, separation, thickness
 from .stretching import metrics
 from .thickness import thin_lengths
 
@@ -105,9 +105,13 @@ def spaced(
             area = triangle_normals(vertices, triangles)[1].sum()
             base = float(np.sqrt(area / (CELL * spacing.faces)))
     beside = spacing.shortest or min(smallest * base, spacing.longest or np.inf)
-    shortest = spacing.shortest or min(LEAST, beside)
+    shortest = spacing.shortest or (min(LEAST, beside) if exact else beside)
     longest = spacing.longest or max(largest * base, beside)
-    points, most = limits(vertices, triangles, creases, longest, beside, apart)
+    if exact:
+        points, most = limits(vertices, triangles, creases, longest, beside, apart)
+    else:
+        # Rays would meet the folds of a first surface.
+        points, most = sampled_limits(surface, creases, longest, beside, apart)
     field = LengthField(points, np.maximum(most, shortest))
     mesh = Sized(vertices.copy(), triangles.copy(), field(vertices))
     if spacing.faces is None:
@@ -161,11 +165,28 @@ def limits(
         if count >= min(MOST_SAMPLES, PER_FACE * faces):
             break
         count = int(min(MOST_SAMPLES, 2 * PER_FACE * faces))
-    if creases is not None:
-        close = apart * separation(creases.dense, creases.tangents, longest / apart)
-        most = np.append(most, np.clip(close, beside, longest))
-        points = np.concatenate([points, creases.dense])
-    return points, most
+    return _with_creases(points, most, creases, longest, beside, apart)
+
+
+def sampled_limits(
+    surface: TrueSurface, creases: Creases | None, longest: float, beside: float, apart: float
+) -> tuple[Floats, Floats]:
+    """The same at the samples of a surface whose triangles are not known, as far as these tell."""
+    thin = thickness(surface.samples, surface.normals, longest / apart)
+    most = np.minimum(apart * thin, longest)
+    return _with_creases(surface.samples, most, creases, longest, beside, apart)
+
+
+def _with_creases(
+    points: Floats, most: Floats, creases: Creases | None, longest: float, beside: float,
+    apart: float,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """``points`` and lengths with those of creases."""
+    if creases is None:
+        return points, most
+    close = apart * separation(creases.dense, creases.tangents, longest / apart)
+    most = np.append(most, np.clip(close, beside, longest))
+    return np.concatenate([points, creases.dense]), most
 
 
 def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
