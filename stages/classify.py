@@ -136,7 +136,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="classify",
-    version=5,
+    version=6,
     params=Params,
     run=run,
     memory=_memory,

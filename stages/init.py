@@ -281,7 +281,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="init",
-    version=4,
+    version=5,
     params=Params,
     run=run,
     parents=lambda params: ("classify",),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..surface.creases import Creases
 
 DIVIDING = 6
-"""In every so manieth round triangles are divided where spheres still hold other generators."""
+"""Triangles around intruders are divided in every sixth round of repair."""
 LEG = 5
 """Steps between flips of edges, searches for closest points, and checkpoints."""
 ROUNDS, ROUND = 24, 10

@@ -48,7 +48,7 @@ where it matters."""
 LOOKS, LATER = 3, 12
 """How often the errors are looked at, and the iterations of remeshing after each look."""
 NEVER = 1_000_000
-"""An iteration that there is not."""
+"""More iterations than there are: creases that are embedded already are not looked for again."""
 FIRST = 12
 """Iterations of remeshing before the first look."""
 NEAR = 0.02
