@@ -89,7 +89,7 @@ def conform(
             if number % DIVIDING:
                 spheres, free = mended(spheres, intruded, surface)
             else:
-                room = most - len(spheres.triangles)
+                room = max(0.0, most - len(spheres.triangles))
                 spheres, free = finer(spheres, intruded, surface, creases, room)
             damping = DAMPING[0]
         count = ROUND if number else leg.iterations

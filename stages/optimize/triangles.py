@@ -194,6 +194,8 @@ def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
     """Where spheres hold generators of other faces: the worst places, in the input's coordinates,
     with the thickness there."""
     depth = spheres.intrusion(threads)
+    if not depth.any():
+        return "none of the spheres, but a triangle has no area or lies on the wrong side"
     worst = distinct(spheres.centres, -depth, depth > 0)
     at = frame.input_from_model(spheres.centres[worst])
     owner = np.array([np.flatnonzero((spheres.triangles == vertex).any(axis=1))[0]
