@@ -17,7 +17,7 @@ from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.losses import conforming
 from vorolight.stages.optimize import conforming as conforming_training
-from vorolight.stages.optimize.descent import TERMS, Problem, descend
+from vorolight.stages.optimize.descent import SHORTER, TERMS, Problem, descend, first_damping
 from vorolight.stages.optimize.least_squares import Block, GaussNewton
 from vorolight.stages.optimize.polygons import Paired, PairedProblem
 from vorolight.stages.optimize.sphere_problem import SphereProblem
@@ -161,9 +161,9 @@ def test_a_triangle_without_area_stalls_nothing(tmp_path: Path) -> None:
     assert square.min() < -100
     assert np.linalg.norm(points, axis=1).max() < 3  # the diagram has to be bounded
     problem = SphereProblem(spheres, surface, None, WEIGHTS, np.ones(42, bool), 1)
-    _, losses, damping = descend(problem, spheres, [1.0] * 6, 1e-2)
+    _, losses, damping = descend(problem, spheres, [1.0] * 6, first_damping(42))
     assert losses[-1].sum() < 0.5 * losses[0].sum()
-    assert damping < 1
+    assert np.median(damping) < 1
 
 
 def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
@@ -176,37 +176,67 @@ def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
     assert columns[0, 12:].tolist() == [12, 13, 14, 15]
 
 
-class Cliff:
-    """``(x - 3)^2`` up to a point, beyond which there is no finite value."""
+class Cliffs:
+    """``(x - 3)^2`` for each of the unknowns, up to a point beyond which it has no finite value."""
 
-    free, count = np.ones(1, bool), 1
+    count, units = 1, None
 
-    def __init__(self, edge: float) -> None:
-        self.edge = edge
+    def __init__(self, *edges: float) -> None:
+        self.edges = np.array(edges)
+        self.free = np.ones(len(edges), bool)
 
-    def prepare(self, state: float, factor: float) -> None:
+    def prepare(self, state: np.ndarray, factor: float) -> None:
         pass
 
-    def residuals(self, state: float) -> dict[str, np.ndarray]:
-        value = np.array([state - 3.0 if state <= self.edge else np.inf])
+    def residuals(self, state: np.ndarray) -> dict[str, np.ndarray]:
+        value = np.where(state <= self.edges, state - 3.0, np.inf)
         return {name: value if name == "shape" else np.zeros(1) for name in TERMS}
 
-    def blocks(self, state: float, residuals: dict[str, np.ndarray]) -> list[Block]:
-        return [Block.dense(np.zeros((1, 1), int), np.ones((1, 1)), residuals["shape"])]
+    def blocks(self, state: np.ndarray, residuals: dict[str, np.ndarray]) -> list[Block]:
+        column = np.arange(len(self.edges))[:, None]
+        return [Block.dense(column, np.ones(column.shape), residuals["shape"])]
 
-    def moved(self, state: float, step: np.ndarray) -> float:
-        return state + float(step[0])
+    def moved(self, state: np.ndarray, step: np.ndarray) -> np.ndarray:
+        return state + step
+
+    def energies(self, residuals: dict[str, np.ndarray]) -> np.ndarray:
+        return residuals["shape"] ** 2
+
+    def around(self, places: np.ndarray) -> np.ndarray:
+        return places
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        return values
 
 
 def test_a_step_to_what_is_not_finite_is_not_taken() -> None:
-    state, _, _ = descend(Cliff(5.0), 0.0, [1.0] * 8, 0.01)
-    assert state == pytest.approx(3, abs=1e-3)
-    # Damping of 0.01, 0.05 and 0.25 leads too far, 1.25 to this side of the edge.
-    state, losses, _ = descend(Cliff(1.5), 0.0, [1.0], 0.01)
-    assert state == pytest.approx(3 / 2.25)
+    def to(*edges: float, steps: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        start = np.zeros(len(edges)), [1.0] * steps, first_damping(len(edges))
+        return descend(Cliffs(*edges), *start)[:2]
+
+    assert to(5.0, steps=8)[0] == pytest.approx(3, abs=1e-3)
+    # The whole step leads too far, and is shortened.
+    state, losses = to(1.5)
+    assert state == pytest.approx(SHORTER * 3 / 1.01)
     assert np.isfinite(losses).all()
     with pytest.raises(NumericalFailure, match="not finite"):
-        descend(Cliff(-1.0), 0.0, [1.0], 0.01)
+        to(-1.0)
+
+
+def test_a_place_that_cannot_be_moved_keeps_no_other_from_its_step() -> None:
+    start = np.zeros(3), [1.0] * 8, first_damping(3)
+    state, _, damping = descend(Cliffs(5.0, 1e-9, 5.0), *start)
+    assert state[[0, 2]] == pytest.approx(3, abs=1e-3)
+    assert state[1] == pytest.approx(0, abs=1e-8)
+    assert damping[1] > 10 > 0.01 > damping[0]
+
+
+def test_steep_unknowns_hide_no_others() -> None:
+    # Conjugate gradients stop by what the preconditioner says, not by the steepest slope.
+    steep = np.array([1e8, 1.0, 1.0])
+    block = Block.dense(np.arange(3)[:, None], steep[:, None], steep)
+    step = GaussNewton([block], np.ones(3, bool), 1 / steep).step(1e-6)
+    assert step == pytest.approx(-1, rel=0.02)
 
 
 @pytest.mark.parametrize("mkl", [True, False])

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.metrics.intersections import self_intersections
+from vorolight.stages.optimize.repair import rounded
 from vorolight.stages.sources.fields import FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.parity import RayParity
@@ -153,14 +154,11 @@ def test_closest_points_are_exact(tmp_path: Path) -> None:
     assert np.linalg.norm(found - points, axis=1) == pytest.approx(best, abs=1e-12)
 
 
-def test_overlapping_bodies_and_thin_walls_are_parted() -> None:
+def test_narrow_gaps_and_thin_walls_are_parted() -> None:
     vertices, triangles = sphere_mesh(1.0, 3)
-    length = np.full(2 * len(vertices), 0.15)
     both = np.concatenate([triangles, triangles + len(vertices)])
-    beside = np.concatenate([vertices, vertices + np.array([1.95, 0, 0])])
-    mesh = Sized(beside, both, length)
-    wound = RayParity(mesh.vertices, both).winding(np.array([[0.975, 0, 0]]))
-    assert wound.tolist() == [2]
+    beside = np.concatenate([vertices, vertices + np.array([2.02, 0, 0])])
+    mesh = Sized(beside, both, np.full(len(beside), 0.15))
     part(mesh, np.ones(len(beside), bool))
     left = mesh.vertices[: len(vertices), 0].max()
     right = mesh.vertices[len(vertices) :, 0].min()
@@ -168,6 +166,25 @@ def test_overlapping_bodies_and_thin_walls_are_parted() -> None:
     flat = Sized(vertices * [1, 1, 0.05], triangles, np.full(len(vertices), 0.15))
     part(flat, np.ones(len(vertices), bool))
     assert np.ptp(flat.vertices[np.linalg.norm(vertices[:, :2], axis=1) < 0.3, 2]) > 0.15
+    assert len(self_intersections(flat.vertices, flat.triangles)) == 0
+
+
+def test_a_neck_that_is_too_thin_is_made_as_thick_as_its_edges_are_long() -> None:
+    # A thread of three sides between two balls, as smoothing alone would leave it.
+    pytest.importorskip("manifold3d")
+    from manifold3d import Manifold
+
+    thread = Manifold.cylinder(2.0, 0.01, 0.01, 3, True).refine_to_length(0.1)
+    balls = [Manifold.sphere(0.5, 24).translate([0, 0, z]) for z in (-1.2, 1.2)]
+    made = (balls[0] + thread + balls[1]).to_mesh64()
+    vertices, triangles = np.asarray(made.vert_properties)[:, :3], np.asarray(made.tri_verts)
+    mesh = Sized(vertices, triangles.astype(np.int64), np.full(len(vertices), 0.1))
+    rounded(mesh, np.abs(mesh.vertices[:, 2]) < 0.7)
+    middle = mesh.vertices[np.abs(mesh.vertices[:, 2]) < 0.3]
+    assert np.linalg.norm(middle[:, :2], axis=1).min() > 0.02
+    facts = topology(PolygonMesh.of_triangles(mesh.vertices, mesh.triangles))
+    assert (facts.euler_number, facts.components) == (2, 1)
+    assert len(self_intersections(mesh.vertices, mesh.triangles)) == 0
 
 
 def test_thickness_of_a_shell_and_of_a_ball() -> None:

@@ -120,11 +120,11 @@ def test_thin_parts_get_shorter_edges_down_to_any_thickness() -> None:
     turn = random_rotation(3)
     for thin in (0.5, 0.05):
         plate = trimesh.creation.box((8.0, 8.0, thin))
-        points, most = limits(plate.vertices @ turn.T, plate.faces, None, 2.0, 0.1, 0.6)
+        points, most = limits(plate.vertices @ turn.T, plate.faces, None, 2.0, 0.1, 0.6, 0.03)
         inner = np.abs(points @ turn)[:, :2].max(axis=1) < 3
         assert most[inner] == pytest.approx(FLAT * thin, rel=1e-3)
     rod = trimesh.creation.cylinder(0.25, 8.0, 64)
-    points, most = limits(rod.vertices @ turn.T, rod.faces, None, 2.0, 0.1, 0.6)
+    points, most = limits(rod.vertices @ turn.T, rod.faces, None, 2.0, 0.1, 0.6, 0.03)
     inner = np.abs(points @ turn)[:, 2] < 3
     # A tube turns within its thickness: as many edges around it as around a thick one.
     assert most[inner] == pytest.approx(ROUND * 0.5, rel=0.05)
@@ -162,7 +162,7 @@ def test_folds_of_a_first_surface_are_not_taken_for_thin_parts(tmp_path: Path) -
     surface = surface_of(tmp_path / "ball.ply", (vertices, triangles))
     random = np.random.default_rng(0)
     first = vertices + 0.15 * random.normal(size=vertices.shape)
-    assert limits(first, triangles, None, 0.8, 0.2, 0.6)[1].min() < 0.5
+    assert limits(first, triangles, None, 0.8, 0.2, 0.6, 0.03)[1].min() < 0.5
     mesh, _ = spaced(first, triangles, surface, None, Spacing(0.8))
     assert mesh.length == pytest.approx(0.8)
 

@@ -17,8 +17,8 @@ from ..surface.embedding import kept_embedded
 from ..surface.operations import delaunay_gain, flip
 from ..surface.polygons import Floats
 from ..surface.remesh import keeping
-from .descent import DAMPING, descend
-from .repair import finer, mended, within
+from .descent import descend, first_damping
+from .repair import mended, within
 from .sphere_problem import SphereProblem
 from .spheres import Spheres, intrusion_gain
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from ..sources.true_surface import TrueSurface
     from ..surface.creases import Creases
 
-DIVIDING = 6
-"""Triangles around intruders are divided in every sixth round of repair."""
 LEG = 5
 """Steps between flips of edges, searches for closest points, and checkpoints."""
 ROUNDS, ROUND = 24, 10
@@ -61,37 +59,28 @@ def conform(
     checkpoints: Checkpoints,
     progress: Progress,
     threads: int,
-    most: float = np.inf,
 ) -> tuple[Spheres, Floats, int]:
     """Train ``spheres``, those that are ``free (V,)``, then repair what does not conform.
 
-    In a round of repair short edges around the intruders are contracted, and where that does not
-    help the pull to the true surface is let go by and by, until there is room for the spheres, and
-    so are creases; now and then triangles are divided there, as long as there are no more than
-    ``most``.
     Returns the spheres, the ``history (iterations, 4)`` with the losses before the repair and the
     number of rounds. Goes on from the last checkpoint if that has been ``refined`` as often as
     ``stored`` says. Raises NumericalFailure when a value is not finite.
     """
-    number, begin, damping = 0, 0, DAMPING[0]
+    number, begin, damping = 0, 0, first_damping(len(spheres.centres))
     found = checkpoints.latest()
     if found is not None and found[1]["refined"].item() == stored["refined"]:
         kept = found[1]
         spheres = Spheres.stored(kept)
-        number, begin, damping = (kept[name].item() for name in ("round", "begin", "damping"))
-        history, free = kept["history"], kept["free"].astype(bool)
+        number, begin = (kept[name].item() for name in ("round", "begin"))
+        damping, history, free = kept["damping"], kept["history"], kept["free"].astype(bool)
     strict = {key: STRICT * leg.weights[key] for key in ("intersection", "exclusion")}
     while True:
         if number and begin == 0:
             intruded = spheres.intruded(threads)
             if not intruded.any() or number > ROUNDS:
                 return spheres, history, number - 1
-            if number % DIVIDING:
-                spheres, free = mended(spheres, intruded, surface)
-            else:
-                room = max(0.0, most - len(spheres.triangles))
-                spheres, free = finer(spheres, intruded, surface, creases, room)
-            damping = DAMPING[0]
+            spheres, free = mended(spheres, intruded, surface)
+            damping = first_damping(len(spheres.centres))
         count = ROUND if number else leg.iterations
         weights = {**leg.weights, **strict} if number else leg.weights
         progress.start(f"repair {number}" if number else "sphere-train", count)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 TOLERANCE, ITERATIONS = 1e-2, 80
 """Of the conjugate gradients; a step need not be exact."""
+STEEP = 100.0
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,12 @@ class Block:
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Steps that lessen ``sum residual^2`` over the unknowns that are ``free (U,)``."""
+    """Steps that lessen ``sum residual^2`` over the unknowns that are ``free (U,)``, each measured
+    in its ``units (U,)``."""
 
     blocks: Sequence[Block]
     free: NDArray[np.bool_]
+    units: Floats | None = None
 
     @cached_property
     def _system(self) -> tuple[Any, Any, Floats, Floats]:
@@ -73,18 +76,24 @@ class GaussNewton:
         gradient = np.asarray(transpose @ residual[kept])
         return jacobian, transpose, gradient, np.asarray(squares, np.float64)
 
-    def step(self, damping: float) -> Floats:
-        """The step ``(U,)`` with ``damping`` in units of the mean square of a column."""
+    def step(self, damping: float | Floats) -> Floats:
+        """The step ``(U,)`` with ``damping``, one for all or ``(U,)``, in units of the mean square
+        of a column, where those above STEEP medians count as that much."""
         import torch
 
         jacobian, transpose, gradient, squares = self._system
         result = np.zeros(len(self.free))
         if not gradient.any():
             return result
-        shift = damping * squares.mean()
-        first, second = _product(jacobian), _product(transpose)
+        units = np.ones(len(squares)) if self.units is None else self.units[self.free]
+        each = np.broadcast_to(damping, len(self.free))[self.free]
+        square = squares * units**2
+        # A few that are steep may not hold all others back.
+        typical = np.median(square[square > 0])
+        shift = each * np.minimum(square, STEEP * typical).mean() / units**2
+        first, second, damped = _product(jacobian), _product(transpose), torch.from_numpy(shift)
         result[self.free] = conjugate_gradients(
-            lambda x: second(first(x)) + shift * x,
+            lambda x: second(first(x)) + damped * x,
             torch.from_numpy(-gradient),
             torch.from_numpy(1 / (squares + shift)),
         ).numpy()
@@ -98,19 +107,20 @@ def conjugate_gradients(product: Product, right: Tensor, inverse: Tensor) -> Ten
     with scipy's, each waits for the other's to stop spinning.
     """
     x, rest = right.new_zeros(right.shape), right.clone()
-    close = TOLERANCE * right.norm()
+    # Measured as the preconditioner does: else steep unknowns would hide all others.
+    close = TOLERANCE**2 * right.dot(inverse * right)
     direction, before = right.new_zeros(right.shape), right.new_ones(())
     for _ in range(ITERATIONS):
         scaled = inverse * rest
         now = rest.dot(scaled)
+        if now <= close:
+            break
         direction = scaled + (now / before) * direction
         before = now
         image = product(direction)
         length = now / direction.dot(image)
         x += length * direction
         rest -= length * image
-        if rest.norm() <= close:
-            break
     return x
 
 

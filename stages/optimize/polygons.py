@@ -12,13 +12,14 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
 from ..surface.geometry import face_frames, limited, vertex_normals
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.spheres import near_pairs
 from ..surface.topology import edges
-from .descent import DAMPING, TERMS, descend
+from .descent import TERMS, descend, first_damping
 from .fitting import Rows, backward, forward
 from .laplacian import Laplacian
 from .least_squares import Block
@@ -83,13 +84,13 @@ def train_polygons(
 
     ``weights``: intersection, exclusion, shape, smooth. ``stored`` goes into every checkpoint.
     """
-    state, first, damping = Paired.at(mesh), 0, DAMPING[0]
+    state, first, damping = Paired.at(mesh), 0, first_damping(1)
     history = np.zeros((0, len(TERMS)))
     found = checkpoints.latest()
     if found is not None and "outer" in found[1]:
         arrays = found[1]
         state = Paired(*(arrays[item.name] for item in fields(Paired)))
-        first, damping = arrays["first"].item(), arrays["damping"].item()
+        first, damping = arrays["first"].item(), arrays["damping"]
         history = arrays["history"]
     progress.start("polygons", iterations)
     for begin in range(first, iterations, LEG):
@@ -107,6 +108,8 @@ def train_polygons(
 
 class PairedProblem:
     """Unknowns ``(c_v, r_v)``, then the outer and the inner generators, with fixed planes."""
+
+    units = None
 
     def __init__(
         self,
@@ -182,6 +185,15 @@ class PairedProblem:
             outer=state.outer + limited(outer, furthest),
             inner=state.inner + limited(inner, furthest),
         )
+
+    def energies(self, residuals: dict[str, Floats]) -> Floats:
+        return np.array([sum(float(part @ part) for part in residuals.values())])
+
+    def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return places
+
+    def spread(self, values: Floats) -> Floats:
+        return np.broadcast_to(values, len(self.free))
 
     def blocks(self, state: Paired, residuals: dict[str, Floats]) -> list[Block]:
         corner, face = self.mesh.face_vertices, self.mesh.corner_faces

@@ -1,5 +1,5 @@
-"""Better triangles where spheres hold generators that are not their own: contracted, flipped,
-divided, and with more room to move."""
+"""Better triangles where spheres hold generators that are not their own: contracted, flipped, made
+round, and with more room to move; and triangles divided where the shape asks for it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from ..surface.creases import drawn_on, give_up
 from ..surface.edge_table import EdgeTable, Sized
-from ..surface.embedding import kept_embedded
+from ..surface.embedding import embedded, kept_embedded
 from ..surface.operations import Gain, contract_short, delaunay_gain, flip, split_long
 from ..surface.polygons import Floats, Ints
 from ..surface.remesh import astray, keeping, relax, unfold
-from ..surface.sheets import part
+from ..surface.sheets import part, smooth
 from ..surface.sizing import GRADATION
 from .fitting import fit
-from .spheres import FIRST_RADIUS, Spheres, edge_lengths, intrusion_gain
+from .spheres import FIRST_RADIUS, Spheres, edge_lengths, intrusion_gain, rings_around
 
 if TYPE_CHECKING:
     from ..sources.true_surface import TrueSurface
@@ -34,8 +34,10 @@ RINGS = 3
 """Rings of vertices around an intruder's that move in a round."""
 SHORT = 0.5
 """Edges around an intruder shorter than this are contracted, in edge lengths."""
-DIVISION = 0.7
-"""Factor to the lengths around an intruder where triangles are divided."""
+FINEST = 0.05
+"""The least length in units of h0 of edges where what resists is made round."""
+ROUNDINGS = 2
+"""How often that is smoothed, parted and remeshed in a round."""
 PASSES, STEP = 4, 0.3
 """Rounds of dividing, flipping and fitting, and the share of the way to the middle of its triangles
 that a vertex goes in each."""
@@ -47,20 +49,15 @@ CHANGED = 0.999
 """Share of its length that a vertex is below where something changes."""
 
 
-def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
-    """``marked (V,)`` grown by rings of neighbouring vertices."""
-    for _ in range(rings):
-        grown = marked.copy()
-        grown[triangles[marked[triangles].any(axis=1)]] = True
-        marked = grown
-    return marked
-
-
 def mended(
     spheres: Spheres, intruded: NDArray[np.bool_], surface: TrueSurface
 ) -> tuple[Spheres, NDArray[np.bool_]]:
     """Spheres with better triangles, and more room around the intruders, and which vertices may
-    move, ``(V,)``."""
+    move, ``(V,)``.
+
+    At first short edges are contracted and others flipped. Where that does not help, the pull to
+    the true surface is lessened, then creases are given up and the surface is made round.
+    """
     triangles = spheres.triangles
     wrong = intruded.copy()
     wrong[triangles[astray(spheres.as_mesh(), surface)]] = True
@@ -75,15 +72,50 @@ def mended(
     mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
     if old.any():
         part(mesh, rings_around(triangles, old, RINGS))
-    contract_short(mesh, SHORT, near)
+    if oldest.any():
+        rounded(mesh, rings_around(triangles, oldest, 1))
+    _contract(mesh, SHORT, mesh.carried[:, -2] > 0)
     unfold(mesh, surface)
     near, free = (mesh.carried[:, -2:] > 0).T
-    flip(mesh, within(near, keeping(surface, intrusion_gain)))
+    _flip(mesh, keeping(surface, intrusion_gain), near)
     mesh.length = np.where(near, edge_lengths(mesh.vertices, mesh.triangles), mesh.length)
     low, high = (limit * mesh.length for limit in SETTLED)
     radii = mesh.carried[:, 0]
     mesh.carried[:, 0] = np.where(near, np.clip(radii, low, high), radii)
     return Spheres.of_mesh(mesh), free
+
+
+def rounded(mesh: Sized, where: NDArray[np.bool_]) -> None:
+    """Make the surface ``where (V,)`` round and as thick as its shortest edges are long, with even
+    triangles: what is too sharp or too thin for spheres becomes blunt, and keeps its topology."""
+    table, own = EdgeTable.of(mesh.triangles), mesh.length
+    length, longest = edge_lengths(mesh.vertices, mesh.triangles), own.copy()
+    np.maximum.at(longest, table.ends, table.lengths(mesh.vertices)[:, None])
+    for _ in range(2):
+        least = length.copy()
+        for here, there in (table.ends.T, table.ends[:, ::-1].T):
+            np.minimum.at(least, here, length[there])
+        length = least
+    # Elsewhere no edge is longer than it is to be.
+    mesh.length = np.where(where, np.maximum(length, FINEST), longest)
+    mesh.carried = np.concatenate([mesh.carried, where[:, None], own[:, None]], axis=1)
+    for _ in range(ROUNDINGS):
+        where = mesh.carried[:, -2] > 0
+        smooth(mesh, where)
+        part(mesh, where)
+        split_long(mesh)
+        _contract(mesh, CONTRACTED, mesh.carried[:, -2] > 0)
+        _flip(mesh, delaunay_gain, mesh.carried[:, -2] > 0)
+    mesh.length = np.where(mesh.carried[:, -2] > 0, mesh.length, mesh.carried[:, -1])
+    mesh.carried = mesh.carried[:, :-2]
+
+
+def _contract(mesh: Sized, factor: float, where: NDArray[np.bool_]) -> None:
+    embedded(lambda trial, at: contract_short(trial, factor, at), mesh, where)
+
+
+def _flip(mesh: Sized, gain: Gain, where: NDArray[np.bool_]) -> None:
+    embedded(lambda trial, at: flip(trial, within(at, gain)), mesh, where)
 
 
 def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
@@ -94,17 +126,6 @@ def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
         return np.where(inside, gain(mesh, table), -1.0)
 
     return value
-
-
-def finer(
-    spheres: Spheres, wrong: NDArray[np.bool_], surface: TrueSurface, creases: Creases | None,
-    room: float,
-) -> tuple[Spheres, NDArray[np.bool_]]:  # fmt: skip
-    """Spheres with triangles divided around the vertices that are ``wrong (V,)``, ``room`` more at
-    the most, and which vertices may move, ``(V,)``."""
-    near = rings_around(spheres.triangles, wrong, 1)
-    wanted = np.where(near, DIVISION * spheres.lengths, spheres.lengths)
-    return divided(spheres, graded_down(spheres, wanted), surface, creases, room)
 
 
 def graded_down(spheres: Spheres, wanted: Floats) -> Floats:

@@ -18,7 +18,7 @@ from ..surface.spheres import near_pairs
 from .fitting import Rows, backward, forward
 from .laplacian import Laplacian
 from .least_squares import Block
-from .spheres import SAFE, Spheres
+from .spheres import SAFE, Spheres, rings_around
 
 if TYPE_CHECKING:
     from ..sources.true_surface import TrueSurface
@@ -68,10 +68,14 @@ def _on_creases(creases: Creases, spheres: Spheres) -> Rows:
     )
 
 
+MISSING = 1e3
+"""Beyond this a triangle is as good as flat: only other triangles can help."""
+
+
 def _softened(missing: Floats) -> Floats:
-    """What pairs are missing, as a logarithm from 1 on: a triangle that has no area, whose spheres
-    meet nowhere near, may not outweigh all others."""
-    return np.where(missing > 1, 1 + np.log(np.maximum(missing, 1.0)), missing)
+    """What pairs are missing, as a logarithm from 1 to MISSING and the same from there on: a
+    triangle that has no area, whose spheres meet nowhere near, may not outweigh all others."""
+    return np.where(missing > 1, 1 + np.log(missing.clip(1.0, MISSING)), missing)
 
 
 class SphereProblem:
@@ -93,6 +97,7 @@ class SphereProblem:
         self.length, self.face_length = spheres.lengths, spheres.face_lengths
         self.offset = OFFSET * spheres.face_room
         centres, triangles = spheres.centres, spheres.triangles
+        self.triangles, self.units = triangles, np.repeat(spheres.lengths, 4)
         if not np.isfinite(centres).all():
             raise NumericalFailure("a surface vertex is not finite: the training diverged")
         self.shape: list[tuple[Rows, Floats]] = []
@@ -121,6 +126,31 @@ class SphereProblem:
         low, high = (limit * self.length for limit in RADII)
         radii = np.clip(state.radii + np.clip(growth, -most, most), low, high)
         return replace(state, centres=state.centres + limited(shift, most), radii=radii)
+
+    def energies(self, residuals: dict[str, Floats]) -> Floats:
+        """Of the triangles around each vertex."""
+        triangles, (point, sphere) = self.triangles, self.near
+        vertex = np.arange(self.count)[:, None]
+        of = {
+            "intersection": triangles,
+            "exclusion": np.column_stack([triangles[point % len(triangles)], sphere]),
+            "shape": np.concatenate([rows.corners for rows, _ in self.shape]),
+            "normal": vertex,
+            "smooth": np.repeat(vertex, 3, axis=0),
+            "radius": vertex,
+        }
+        own = np.zeros(self.count)
+        for key, residual in residuals.items():
+            square = np.repeat(residual**2, of[key].shape[1])
+            own += np.bincount(of[key].reshape(-1), square, minlength=self.count)
+        sums = np.repeat(own[triangles].sum(axis=1), 3)
+        return np.asarray(np.bincount(triangles.reshape(-1), sums, minlength=self.count))
+
+    def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return rings_around(self.triangles, places, 1)
+
+    def spread(self, values: Floats) -> Floats:
+        return np.repeat(values, 4)
 
     def prepare(self, state: Spheres, factor: float) -> None:
         mesh = PolygonMesh.of_triangles(state.centres, state.triangles)
@@ -165,6 +195,7 @@ class SphereProblem:
         # The derivative of what is softened.
         short = self.offset[row] ** 2 - pairs.square[row] / self.face_length[row] ** 2
         slope = -self.strict["intersection"] / np.maximum(1.0, short)
+        slope[short > MISSING] = 0.0
         values = values * (slope / self.face_length[row] ** 2)[:, None]
         blocks.append(Block.dense(columns, values, residuals["intersection"][row]))
         # Generators that are to stay out of other spheres; one that stands for a missing pair

@@ -122,6 +122,15 @@ class Spheres:
         )  # fmt: skip
 
 
+def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
+    """``marked (V,)`` grown by rings of neighbouring vertices."""
+    for _ in range(rings):
+        grown = marked.copy()
+        grown[triangles[marked[triangles].any(axis=1)]] = True
+        marked = grown
+    return marked
+
+
 def _room(mesh: Sized) -> Floats:
     """The tangent of half the angle between the two sides of a crease, at most 1, ``(V,)``."""
     room = np.ones(len(mesh.vertices))

@@ -151,7 +151,7 @@ def train_triangles(
             spheres, free, history, surface, creases,
             Leg(ROUND if times else iterations, weights),
             {"missed": missed, "refined": times, "repairs": repairs},
-            context.checkpoints, context.progress, context.threads, spacing.most,
+            context.checkpoints, context.progress, context.threads,
         )  # fmt: skip
         repairs += rounds
         further = None

@@ -55,6 +55,14 @@ class EdgeTable:
             np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
         )
 
+    def mean_of_neighbours(self, values: Floats) -> Floats:
+        """Of ``values (V,)`` or ``(V, k)`` at the vertices, the means over their neighbours."""
+        start, end = np.concatenate([self.ends, self.ends[:, ::-1]]).T
+        count = np.maximum(np.bincount(start, minlength=len(values)), 1)
+        flat = values.reshape(len(values), -1)
+        sums = [np.bincount(start, column[end], minlength=len(values)) for column in flat.T]
+        return np.asarray((np.stack(sums, axis=1) / count[:, None]).reshape(values.shape))
+
 
 @dataclass
 class Sized:

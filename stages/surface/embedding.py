@@ -1,11 +1,20 @@
-"""Moves of vertices that keep a triangle surface from crossing itself."""
+"""Changes of a triangle surface that keep it from crossing itself."""
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..metrics.intersections import self_intersections
 from .polygons import Floats, Ints
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .edge_table import Sized
 
 ROUNDS = 6
 """How often vertices of crossing triangles, and each time a ring more, are put back."""
@@ -32,3 +41,30 @@ def kept_embedded(before: Floats, after: Floats, triangles: Ints) -> Floats:
         after = np.where(back[:, None], before, after)
         crossing = self_intersections(after, triangles)
     return before
+
+
+def embedded(
+    change: Callable[[Sized, NDArray[np.bool_]], int], mesh: Sized, where: NDArray[np.bool_]
+) -> None:
+    """Make a ``change`` of edges ``where (V,)``, but for those around which triangles would cross
+    that did not. The change may take vertices away; it adds none."""
+    known = len(self_intersections(mesh.vertices, mesh.triangles))
+    number = np.arange(len(mesh.vertices), dtype=np.float64)
+    where = where.copy()
+    for _ in range(ROUNDS):
+        trial = replace(
+            mesh, vertices=mesh.vertices.copy(), length=mesh.length.copy(),
+            carried=np.column_stack([mesh.carried, number]),
+        )  # fmt: skip
+        if not change(trial, where):
+            return
+        crossing = self_intersections(trial.vertices, trial.triangles)
+        if len(crossing) <= known:
+            trial.carried = trial.carried[:, :-1]
+            for item in fields(trial):
+                setattr(mesh, item.name, getattr(trial, item.name))
+            return
+        at = np.zeros(len(where), dtype=bool)
+        at[trial.carried[trial.triangles[crossing.reshape(-1)], -1].astype(int)] = True
+        at[mesh.triangles[at[mesh.triangles].any(axis=1)]] = True
+        where &= ~at

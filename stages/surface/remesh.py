@@ -219,12 +219,9 @@ def unfold(mesh: Sized, surface: TrueSurface, rounds: int = 5) -> None:
         wrong = astray(mesh, surface)
         if not wrong.any():
             return
-        table = EdgeTable.of(mesh.triangles)
-        ends = np.concatenate([table.ends, table.ends[:, ::-1]])
-        degree = np.bincount(ends[:, 0])
+        mean = EdgeTable.of(mesh.triangles).mean_of_neighbours(mesh.vertices)
         moved = np.unique(mesh.triangles[wrong])
         moved = moved[mesh.rank[moved] == FREE]
-        sums = [np.bincount(ends[:, 0], mesh.vertices[ends[:, 1], k]) for k in range(3)]
         after = mesh.vertices.copy()
-        after[moved] = (np.stack(sums, 1) / degree[:, None])[moved]
+        after[moved] = mean[moved]
         mesh.vertices = kept_embedded(mesh.vertices, after, mesh.triangles)

@@ -108,7 +108,7 @@ def spaced(
     shortest = spacing.shortest or (min(LEAST, beside) if exact else beside)
     longest = spacing.longest or max(largest * base, beside)
     if exact:
-        points, most = limits(vertices, triangles, creases, longest, beside, apart)
+        points, most = limits(vertices, triangles, creases, longest, beside, apart, shortest)
     else:
         # Rays would meet the folds of a first surface.
         points, most = sampled_limits(surface, creases, longest, beside, apart)
@@ -149,7 +149,7 @@ def spaced(
 
 def limits(
     vertices: Floats, triangles: Ints, creases: Creases | None, longest: float, beside: float,
-    apart: float,
+    apart: float, shortest: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Points of a surface and the largest lengths there, ``(N, 3), (N,)``: at most ``longest``,
     less where the shape or a gap is thin, or creases are close to each other: ``apart`` times that
@@ -165,7 +165,7 @@ def limits(
         if count >= min(MOST_SAMPLES, PER_FACE * faces):
             break
         count = int(min(MOST_SAMPLES, 2 * PER_FACE * faces))
-    return _with_creases(points, most, creases, longest, beside, apart)
+    return _with_creases(points, most, creases, longest, shortest, apart)
 
 
 def sampled_limits(

@@ -31,17 +31,17 @@ RIM = 2.2
 
 
 def across(
-    tree: Any, vertices: Floats, triangles: Ints, normals: Floats, points: Floats, owner: Ints
+    tree: Any, vertices: Floats, triangles: Ints, normals: Floats, points: Floats, facing: Floats
 ) -> tuple[Floats, Floats]:
-    """Distances ``(2, S)`` from ``points (S, 3)``, on triangles ``owner (S,)``, to the opposite
-    sheet, through the shape and through the gap outside, infinity where there is none; and the
-    cosines of the two normals."""
+    """Distances ``(2, S)`` from ``points (S, 3)`` of a surface that is ``facing (S, 3)`` there to
+    the opposite sheet, through the shape and through the gap outside, infinity where there is none;
+    and the cosines of the two normals."""
     distance, cosine = np.full((2, len(points)), np.inf), np.ones((2, len(points)))
     for row, sign in enumerate((-1.0, 1.0)):
-        way = np.ascontiguousarray(sign * normals[owner])
+        way = np.ascontiguousarray(sign * facing)
         hit, reach, _ = tree.intersect_ray_first(vertices, triangles, points + BESIDE * way, way)
         met = np.flatnonzero(hit >= 0)
-        cosine[row, met] = np.einsum("ij,ij->i", normals[hit[met]], normals[owner[met]])
+        cosine[row, met] = np.einsum("ij,ij->i", normals[hit[met]], facing[met])
         distance[row, met] = np.where(cosine[row, met] < OPPOSITE, reach[met] + BESIDE, np.inf)
     return distance, cosine
 
@@ -50,10 +50,11 @@ def thickness(vertices: Floats, triangles: Ints, owner: Ints) -> Floats:
     """Of the shape or the gap, whichever is thinner, at the middle of triangles ``owner (S,)``;
     infinity where there is no opposite sheet."""
     points = vertices[triangles[owner]].mean(axis=1)
-    return np.asarray(across(*_searched(vertices, triangles), points, owner)[0].min(axis=0))
+    mesh = searched(vertices, triangles)
+    return np.asarray(across(*mesh, points, mesh[-1][owner])[0].min(axis=0))
 
 
-def _searched(vertices: Floats, triangles: Ints) -> tuple[Any, Floats, Ints, Floats]:
+def searched(vertices: Floats, triangles: Ints) -> tuple[Any, Floats, Ints, Floats]:
     """A tree of the triangles, what it was made of, and their normals."""
     import igl
 
@@ -76,9 +77,10 @@ def thin_lengths(
     Towards a crease at which two sheets meet in a wedge the thickness goes to zero; edges beside
     it need not be shorter than ``shortest_at_creases``.
     """
-    mesh = *_searched(vertices, triangles), points, owner
-    distance, cosine = across(*mesh)
-    share = np.where(_round(*mesh, distance.min(axis=0)), ROUND, FLAT)
+    mesh = searched(vertices, triangles)
+    facing = mesh[-1][owner]
+    distance, cosine = across(*mesh, points, facing)
+    share = np.where(_round(*mesh, points, facing, distance.min(axis=0)), ROUND, FLAT)
     if creases is not None:
         near = np.linalg.norm(points - creases.closest(points)[0], axis=1)
         floor = shortest_at_creases / share
@@ -92,14 +94,14 @@ def thin_lengths(
 
 
 def _round(
-    tree: Any, vertices: Floats, triangles: Ints, normals: Floats, points: Floats, owner: Ints,
+    tree: Any, vertices: Floats, triangles: Ints, normals: Floats, points: Floats, facing: Floats,
     thickness: Floats,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Which of ``points`` lie on a part that turns within its own thickness, as a tube does: the
     surface closest to a point beside them, in their tangent plane, faces another way."""
     turned = np.zeros(len(points), dtype=bool)
     thin = np.flatnonzero(np.isfinite(thickness))
-    own = normals[owner[thin]]
+    own = facing[thin]
     first = np.cross(own, np.eye(3)[np.abs(own).argmin(axis=1)])
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.finfo(float).tiny)
     for way in (first, -first, np.cross(own, first), -np.cross(own, first)):
