@@ -135,7 +135,7 @@ def test_towards_the_edge_of_a_wedge_lengths_have_a_floor() -> None:
     outline = np.array([[0, 0, 0], [8, 0, 0], [8 * np.cos(angle), 8 * np.sin(angle), 0]])
     wedge = trimesh.convex.convex_hull(np.concatenate([outline, outline + np.array([0, 0, 8])]))
     creases = Creases(of_triangles(wedge.vertices, wedge.faces, 40.0))
-    points, most = limits(wedge.vertices, wedge.faces, creases, 1.0, 0.15, 0.6)
+    points, most = limits(wedge.vertices, wedge.faces, creases, 1.0, 0.15, 0.6, 0.03)
     assert most.min() == pytest.approx(0.15)
     middle = (np.abs(points[:, 0] - 3) < 0.2) & (np.abs(points[:, 2] - 4) < 2)
     assert np.isfinite(most[middle]).all()
