@@ -35,6 +35,9 @@ class Params(contract.Params):
     """Of views: how many masks may leave out what is inside, anywhere."""
     repair: bool = False
     """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
+    weld: Positive | None = None
+    """Distance, in the input's units, within which vertices of a mesh's open edges are one; 0: only
+    those at the same place. By default as near as single precision tells them apart."""
     thickness: Positive | None = None
     """Take a mesh as a sheet this thick, in the input's units; 0: as a solid. By default a sheet
     of a voxel if it encloses next to nothing beyond doubt."""
@@ -60,13 +63,15 @@ def run(context: Context) -> Outcome:
     elif params.mask_votes:
         raise UsageError(f"--mask-votes: the input is a {source.kind}; only views have masks")
     if isinstance(source, MeshSource):
-        source.repair = params.repair
+        source.repair, source.reach = params.repair, params.weld
         thickness = params.thickness
         if thickness is None and (source.flat or source.sureness < SHEET):
             thickness = float(np.ptp(source.bounding_box(), axis=0).max()) / params.n_init
         source.take_as_sheet(thickness or 0.0)
     elif params.thickness is not None:
         raise UsageError(f"--thickness: the input is a {source.kind}; only a mesh can be a sheet")
+    elif params.weld is not None:
+        raise UsageError(f"--weld: the input is a {source.kind}; only a mesh has vertices to weld")
     elif params.repair:
         raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
     context.progress.start("classify", 2 * voxels.ROUNDS)

@@ -110,4 +110,3 @@ def descend(
             state = moved
         damping = np.where(share < 1, HARDER * damping, damping / EASIER).clip(*DAMPING[1:])
     return state, np.array(losses), damping
-

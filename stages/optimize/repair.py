@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..metrics.intersections import self_intersections
 from ..surface.creases import drawn_on, give_up
 from ..surface.edge_table import EdgeTable, Sized
 from ..surface.embedding import embedded, kept_embedded
 from ..surface.operations import Gain, contract_short, delaunay_gain, flip, split_long
-from ..surface.polygons import Floats, Ints
+from ..surface.polygons import Floats
 from ..surface.remesh import astray, keeping, relax, unfold
-from ..surface.sheets import part, smooth
+from ..surface.sheets import draw_back, part, smooth
 from ..surface.sizing import GRADATION
 from .fitting import fit
 from .spheres import FIRST_RADIUS, Spheres, edge_lengths, intrusion_gain, rings_around
@@ -71,7 +72,10 @@ def mended(
     free = rings_around(triangles, wrong, RINGS) | rings_around(triangles, old, 2 * RINGS)
     mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
     if old.any():
-        part(mesh, rings_around(triangles, old, RINGS))
+        loose = rings_around(triangles, old, RINGS)
+        if len(self_intersections(mesh.vertices, triangles)):
+            draw_back(mesh, loose)
+        part(mesh, loose)
     if oldest.any():
         rounded(mesh, rings_around(triangles, oldest, 1))
     _contract(mesh, SHORT, mesh.carried[:, -2] > 0)

@@ -18,6 +18,7 @@ from .mesh_file import load
 from .parity import RayParity
 from .repair_child import repaired
 from .sheet import thickened
+from .united import parted, united
 from .winding import WindingNumber, winding_number
 
 ROUNDING = 1e-6
@@ -34,9 +35,10 @@ SAMPLES = 20_000
 """Points that are asked how sure they are."""
 
 
-def welded(mesh: PolygonMesh) -> PolygonMesh:
+def welded(mesh: PolygonMesh, reach: float | None = None) -> PolygonMesh:
     """``mesh`` with one vertex at every place, so that neighbours share edges; vertices of open
-    edges that are as near as single precision tells are one too, if more edges are closed then."""
+    edges within ``reach`` of each other are one too, if more edges are closed then. By default
+    that is as near as single precision tells."""
     places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     exact = PolygonMesh(
         places, mesh.face_offsets, same.reshape(-1)[mesh.face_vertices].astype(np.int64)
@@ -44,19 +46,20 @@ def welded(mesh: PolygonMesh) -> PolygonMesh:
     loose = np.unique(bad_edges(exact))
     if len(loose) == 0:
         return exact
-    nearly = _joined(exact, loose)
+    if reach is None:
+        reach = ULPS * float(np.finfo(np.float32).eps) * float(np.abs(exact.vertices).max())
+    nearly = _joined(exact, loose, reach)
     return nearly if len(bad_edges(nearly)) < len(bad_edges(exact)) else exact
 
 
-def _joined(mesh: PolygonMesh, loose: Ints) -> PolygonMesh:
-    """``mesh`` with those vertices ``loose (L,)`` that are within a few roundings of single
-    precision of each other as one; faces that have no area then are left out."""
+def _joined(mesh: PolygonMesh, loose: Ints, reach: float) -> PolygonMesh:
+    """``mesh`` with those vertices ``loose (L,)`` that are within ``reach`` of each other as one;
+    faces that have no area then are left out."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     at = mesh.vertices[loose]
-    reach = ULPS * float(np.finfo(np.float32).eps) * float(np.abs(mesh.vertices).max())
     pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(loose),) * 2)
     _, group = connected_components(graph, directed=False)
@@ -75,6 +78,9 @@ def _joined(mesh: PolygonMesh, loose: Ints) -> PolygonMesh:
 
 class TriangleSource(ABC):
     """The surface of ``polygons``, which stay as they are."""
+
+    reach: float | None = None
+    """Distance within which vertices of open edges are one; None: as single precision tells."""
 
     @property
     @abstractmethod
@@ -103,9 +109,31 @@ class TriangleSource(ABC):
         return len(bad_edges(self.welded))
 
     @cached_property
+    def united(self) -> tuple[PolygonMesh, int] | None:
+        """The union of closed parts that cross each other and how many they are, if there are."""
+        return None if len(bad_edges(self.closed)) else united(self.closed)
+
+    @property
     def welded(self) -> PolygonMesh:
+        """The polygons with one vertex at every place, and the surface of their union where closed
+        parts cross each other."""
+        return self.closed if self.united is None else self.united[0]
+
+    @cached_property
+    def closed(self) -> PolygonMesh:
+        """The polygons with one vertex at every place, but for parts that touch."""
+        return self.joined if self.parted is None else self.parted[0]
+
+    @cached_property
+    def parted(self) -> tuple[PolygonMesh, int] | None:
+        """The triangles where only parts that touch keep a mesh from being closed, and how many
+        faces are left out."""
+        return parted(self.joined) if len(bad_edges(self.joined)) else None
+
+    @cached_property
+    def joined(self) -> PolygonMesh:
         """The polygons with one vertex at every place."""
-        return welded(self.polygons)
+        return welded(self.polygons, self.reach)
 
     @cached_property
     def _rays(self) -> RayParity:
@@ -164,8 +192,8 @@ class TriangleSource(ABC):
 
     def median_edge_length(self) -> float:
         """``h_ref`` of the paper's curvature metric: over the polygon edges as found."""
-        ends: Ints = edges(self.welded)
-        at = self.welded.vertices[ends]
+        ends: Ints = edges(self.joined)
+        at = self.joined.vertices[ends]
         return float(np.median(np.linalg.norm(at[:, 0] - at[:, 1], axis=1)))
 
     def topology(self) -> tuple[int, int] | None:
@@ -214,7 +242,10 @@ class MeshSource(TriangleSource):
         self.thickness = thickness
         if not thickness:
             return
-        for name in ("polygons", "welded", "_fanned", "open_edges", "_rays", "winding", "sureness"):
+        for name in (
+            "polygons", "joined", "parted", "closed", "united", "_fanned", "open_edges", "_rays",
+            "winding", "sureness",
+        ):  # fmt: skip
             self.__dict__.pop(name, None)
 
     def describe(self) -> dict[str, Any]:
@@ -226,15 +257,16 @@ class MeshSource(TriangleSource):
             "polygons_kept": self.loaded.polygons_kept and not (self.repair or self.thickness),
             "repaired": self.repair,
             "thickness": self.thickness,
-            "open_edges": len(bad_edges(welded(self.loaded.polygons))),
+            "open_edges": len(bad_edges(welded(self.loaded.polygons, self.reach))),
             "doubled_faces": self.winding.doubled if self.open_edges else 0,
             "turned_faces": self.winding.turned if self.open_edges else 0,
-            "welded_vertices": self.polygons.vertex_count - self.welded.vertex_count,
+            "welded_vertices": self.polygons.vertex_count - self.joined.vertex_count,
+            "united_parts": 0 if self.united is None else self.united[1],
             "sureness": round(self.sureness, 4),
         }
 
     def state(self) -> dict[str, Any]:
-        if not self.repair and not self.thickness:
+        if not self.repair and not self.thickness and self.reach is None:
             return {}
         return {"source/vertices": self.vertices, "source/triangles": self.triangles}
 
@@ -258,6 +290,17 @@ class MeshSource(TriangleSource):
             said.append(
                 f"the mesh ({edges_found} bad edges) is taken as a sheet {self.thickness:g} thick; "
                 "close it, or use --repair or --thickness"
+            )
+        if self.parted is not None:
+            said.append(
+                f"parts of the mesh touch each other: {self.parted[1]} of its "
+                f"{len(self.joined.face_offsets) - 1} faces are left out, which are there twice or "
+                "lie between two parts; edges of more than two faces are taken apart"
+            )
+        if self.united is not None:
+            said.append(
+                f"{self.united[1]} closed parts of the mesh cross each other: the surface of their "
+                "union is taken"
             )
         return said + self._open_warnings()
 

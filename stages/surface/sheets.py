@@ -17,6 +17,12 @@ APART = 1.2
 STEP, ROUNDS = 0.4, 4
 """Share of the missing distance made up by each of the two sheets in one round, and the rounds."""
 SMOOTHINGS = 3
+BACK = 6
+"""The most rounds in which sheets draw back from each other."""
+FACING = -0.3
+"""Cosine of two normals below which vertices are of opposite sheets."""
+ACROSS = 0.6
+"""Cosine to both normals above which the way between two vertices leads across."""
 
 
 def part(mesh: Sized, where: NDArray[np.bool_]) -> None:
@@ -36,6 +42,38 @@ def part(mesh: Sized, where: NDArray[np.bool_]) -> None:
         shift[row] = STEP * (missing[0] - missing[1])
         moved = mesh.vertices + _spread(table, shift, where)[:, None] * normal
         mesh.vertices = kept_embedded(mesh.vertices, moved, mesh.triangles)
+
+
+def draw_back(mesh: Sized, where: NDArray[np.bool_]) -> None:
+    """Move vertices ``where (V,)`` along their normals until sheets that have gone through each
+    other are APART: both bodies draw back from what they have in common."""
+    from scipy.spatial import cKDTree
+
+    from ..sources.parity import RayParity
+
+    table = EdgeTable.of(mesh.triangles)
+    for _ in range(BACK):
+        chosen = np.flatnonzero(where)
+        normal = vertex_normals(mesh.vertices, mesh.triangles)
+        at = mesh.vertices[chosen]
+        reach = APART * float(mesh.length[chosen].max(initial=0.0))
+        a, b = chosen[cKDTree(at).query_pairs(reach, output_type="ndarray")].T
+        way = mesh.vertices[b] - mesh.vertices[a]
+        distance = np.linalg.norm(way, axis=1)
+        way /= np.maximum(distance, np.finfo(float).tiny)[:, None]
+        wanted = 0.5 * APART * (mesh.length[a] + mesh.length[b])
+        near = (np.einsum("ij,ij->i", normal[a], normal[b]) < FACING) & (distance < wanted)
+        for end in (a, b):
+            near &= np.abs(np.einsum("ij,ij->i", way, normal[end])) > ACROSS
+        a, b, distance, wanted = a[near], b[near], distance[near], wanted[near]
+        between = 0.5 * (mesh.vertices[a] + mesh.vertices[b])
+        twice = RayParity(mesh.vertices, mesh.triangles).winding(between) > 1
+        if not twice.any():
+            break
+        back = np.zeros(len(mesh.vertices))
+        for end in (a[twice], b[twice]):
+            np.minimum.at(back, end, -STEP * (wanted + distance)[twice])
+        mesh.vertices = mesh.vertices + _spread(table, back, where)[:, None] * normal
 
 
 def smooth(mesh: Sized, where: NDArray[np.bool_]) -> None:
