@@ -109,7 +109,7 @@ def train_polygons(
 class PairedProblem:
     """Unknowns ``(c_v, r_v)``, then the outer and the inner generators, with fixed planes."""
 
-    units = None
+    units: Floats | None = None
 
     def __init__(
         self,

@@ -97,7 +97,8 @@ class SphereProblem:
         self.length, self.face_length = spheres.lengths, spheres.face_lengths
         self.offset = OFFSET * spheres.face_room
         centres, triangles = spheres.centres, spheres.triangles
-        self.triangles, self.units = triangles, np.repeat(spheres.lengths, 4)
+        self.triangles = triangles
+        self.units: Floats | None = np.repeat(spheres.lengths, 4)
         if not np.isfinite(centres).all():
             raise NumericalFailure("a surface vertex is not finite: the training diverged")
         self.shape: list[tuple[Rows, Floats]] = []
