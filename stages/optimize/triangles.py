@@ -130,13 +130,13 @@ def train_triangles(
     ``refine`` what is too far from the shape then is divided and trained again.
     """
     frame, surface = ModelFrame.of(context.arrays("classify")), context.surface
-    vertices, corners, from_input = _first(context, frame)
+    vertices, corners, from_input, exact = _first(context, frame)
     chains = [] if angle is None else creases_found(context.source(), surface, frame, angle)
     creases = Creases(chains) if chains else None
     found = context.checkpoints.latest()
     if found is None:
         try:
-            start, missed = spaced(vertices, corners, surface, creases, spacing, from_input)
+            start, missed = spaced(vertices, corners, surface, creases, spacing, exact)
         except TooManyTriangles as error:
             raise NumericalFailure(_too_many(error, frame, spacing)) from error
         spheres, history = Spheres.at(start), np.zeros((0, len(TERMS)))
@@ -169,8 +169,9 @@ def train_triangles(
     return Trained(spheres, history, repairs, from_input, creases, missed, facts, spacing.faces)
 
 
-def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool]:
-    """Vertices in model units and triangles to start from, and whether they are the input's.
+def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool, bool]:
+    """Vertices in model units and triangles to start from, whether they are the input's, and
+    whether these do not cross each other.
 
     What follows keeps the topology that it starts with. The input's own triangles have the right
     one, wherever they are closed and do not cross each other; else the initial surface may have it.
@@ -184,10 +185,11 @@ def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool]:
         vertices, triangles = fan_triangles(own)[:2]
         vertices = frame.model_from_input(vertices)
         agrees = expected == (given.euler_number, given.components)
-        if not agrees or len(self_intersections(vertices, triangles)) == 0:
-            return vertices, triangles, True
+        exact = len(self_intersections(vertices, triangles)) == 0
+        if exact or not agrees:
+            return vertices, triangles, True, exact
     vertices, triangles = fan_triangles(initial)[:2]
-    return frame.model_from_input(vertices), triangles, False
+    return frame.model_from_input(vertices), triangles, False, False
 
 
 def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
