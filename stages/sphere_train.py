@@ -286,7 +286,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=10,
+    version=11,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),
