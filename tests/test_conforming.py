@@ -381,6 +381,23 @@ def test_without_a_certificate_training_ends_with_the_places(
     assert any("no certificate" in warning for warning in done["warnings"])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [30, 15, 10])
+def test_wedges_are_certified(degrees: float, tmp_path: Path, cli: Cli) -> None:
+    angle = np.radians(degrees)
+    side = np.array([[0, 0, 0], [8, 0, 0], [8 * np.cos(angle), 8 * np.sin(angle), 0]])
+    wedge = trimesh.convex.convex_hull(np.concatenate([side, side + [0, 0, 6]]))
+    path = write_ply(tmp_path / "wedge.ply", wedge.vertices, wedge.faces)
+    words = ["-n", 15, "--init-iterations", 5, "--until", "sphere-train"]
+    assert cli("run", path, *words, cwd=tmp_path).returncode == 0
+    found = result(tmp_path / "wedge.vorolight", "sphere-train")
+    assert found["certificate"]["holds"]
+    assert found["trained_topology"]["euler_number"] == 2
+    written = trimesh.load_mesh(tmp_path / "wedge.vorolight" / "sphere-train.ply", process=False)
+    assert written.is_watertight
+    assert written.volume == pytest.approx(wedge.volume, rel=2e-3)
+
+
 def test_what_takes_too_many_triangles_is_refused_before_training(tmp_path: Path, cli: Cli) -> None:
     box = trimesh.creation.box((4.0, 3.0, 0.02))
     path = write_ply(tmp_path / "sheet.ply", box.vertices, box.faces)

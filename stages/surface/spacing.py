@@ -35,6 +35,10 @@ SMALLEST = 0.25
 LEAST = 0.03
 """The least length at all, in units of h0: of shorter edges the margin of the certificate, which is
 in units of h0, would ask too much."""
+FLOORS = 5
+"""How many least lengths between creases are tried."""
+MORE = 4000.0, 1.5
+"""Triangles, and how many times the usual number, that close creases may take."""
 SAMPLES, MOST_SAMPLES = 20_000, 400_000
 """Points at which the thickness is measured: at first, and at the most where there are to be many
 triangles."""
@@ -112,11 +116,16 @@ def spaced(
     else:
         # Rays would meet the folds of a first surface.
         points, most = sampled_limits(surface, creases, longest, beside, apart)
+    count = len(points) - (0 if creases is None else len(creases.dense))
     field = LengthField(points, np.maximum(most, shortest))
+    if exact and creases is not None:
+        area = triangle_normals(vertices, triangles)[1].sum()
+        field.lengths = _affordable(field, most, count, (shortest, beside), area)
     mesh = Sized(vertices.copy(), triangles.copy(), field(vertices))
     if spacing.faces is None:
-        on = slice(len(points) - (0 if creases is None else len(creases.dense)))
-        _check(vertices, triangles, points[on], field.lengths[on], most[on], spacing.most)
+        _check(
+            vertices, triangles, points[:count], field.lengths[:count], most[:count], spacing.most
+        )
     missed, embedded = 0, EMBEDDED
     if exact:
         if creases is not None:
@@ -187,6 +196,27 @@ def _with_creases(
     close = apart * separation(creases.dense, creases.tangents, longest / apart)
     most = np.append(most, np.clip(close, beside, longest))
     return np.concatenate([points, creases.dense]), most
+
+
+def _affordable(
+    field: LengthField, most: Floats, count: int, floor: tuple[float, float], area: float
+) -> Floats:
+    """Graded lengths, with those between close creases as short as ``most (N,)`` says, but no
+    shorter than what takes few triangles more than the larger ``floor`` does. The points of the
+    creases are those from ``count`` on."""
+
+    def lengths(least: float) -> tuple[Floats, float]:
+        wanted = np.maximum(most, floor[0])
+        wanted[count:] = np.maximum(wanted[count:], least)
+        graded = field.graded(wanted)
+        return graded, float(area / CELL * (1 / graded[:count] ** 2).mean())
+
+    usual, faces = lengths(floor[1])
+    for least in np.geomspace(*floor, FLOORS)[:-1]:
+        found, needed = lengths(least)
+        if needed <= MORE[0] + MORE[1] * faces:
+            return found
+    return usual
 
 
 def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
