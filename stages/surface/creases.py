@@ -183,26 +183,30 @@ def embed(mesh: Sized, creases: Creases) -> int:
     lengths = table.lengths(mesh.vertices)
     target = mesh.edge_target(table.ends)
     middle = mesh.vertices[table.ends].mean(axis=1)
+    reach = NEAR * target.max(initial=0.0)
     for number in np.argsort([chain.length for chain in creases.chains], kind="stable"):
         chain = creases.chains[number]
         own = Creases([chain])
+        low, high = chain.points.min(axis=0) - reach, chain.points.max(axis=0) + reach
+        around = np.flatnonzero(((middle >= low) & (middle <= high)).all(axis=1))
+        ends = table.ends[around]
         far = np.stack(
             [np.linalg.norm(at - own.closest(at)[0], axis=1) for at in
-             (middle, mesh.vertices[table.ends[:, 0]], mesh.vertices[table.ends[:, 1]])], 1
-        ) / target[:, None]  # fmt: skip
+             (middle[around], mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]])], 1
+        ) / target[around, None]  # fmt: skip
         if chain.closed:
             third = len(chain.points) // 3
             stops = [int(tree.query(chain.points[k * third])[1]) for k in range(3)]
             stops.append(stops[0])
         else:
-            ends = [corner_of.get(tuple(chain.points[k])) for k in (0, -1)]
-            if None in ends or ends[0] == ends[1]:
+            tips = [corner_of.get(tuple(chain.points[k])) for k in (0, -1)]
+            if None in tips or tips[0] == tips[1]:
                 missed += 1
                 continue
-            stops = [int(end) for end in ends if end is not None]
+            stops = [int(tip) for tip in tips if tip is not None]
         usable = (far < NEAR).all(axis=1)
-        cost = lengths * (1 + DETOUR * (far**2).mean(axis=1))
-        way = _way(table.ends[usable], cost[usable], stops, rank)
+        cost = lengths[around] * (1 + DETOUR * (far**2).mean(axis=1))
+        way = _way(ends[usable], cost[usable], stops, rank)
         if not way:
             missed += 1
             continue
