@@ -386,7 +386,7 @@ def test_without_a_certificate_training_ends_with_the_places(
 def test_wedges_are_certified(degrees: float, tmp_path: Path, cli: Cli) -> None:
     angle = np.radians(degrees)
     side = np.array([[0, 0, 0], [8, 0, 0], [8 * np.cos(angle), 8 * np.sin(angle), 0]])
-    wedge = trimesh.convex.convex_hull(np.concatenate([side, side + [0, 0, 6]]))
+    wedge = trimesh.convex.convex_hull(np.concatenate([side, side + np.array([0, 0, 6])]))
     path = write_ply(tmp_path / "wedge.ply", wedge.vertices, wedge.faces)
     words = ["-n", 15, "--init-iterations", 5, "--until", "sphere-train"]
     assert cli("run", path, *words, cwd=tmp_path).returncode == 0
