@@ -78,8 +78,8 @@ def test_training_makes_the_surface_smoother_and_truer(heart_run: Path) -> None:
     assert history.shape == (20, 4)
     # The weights of intersection and exclusion are ramped up tenfold over the first half; still
     # pairs come into being, intruders go, and the remeshed and fitted start keeps its distance.
-    # The start may have all its pairs already: then they stay.
-    assert history[-1, 0] < max(0.2 * history[0, 0], 1e-6)
+    # The start may have all its pairs already: then less is missing than one pair's share.
+    assert history[-1, 0] < max(0.2 * history[0, 0], 1e-4)
     assert history[-1, 1] < 0.2 * history[0, 1]
     assert history[-1, 2] < 2 * history[0, 2]
     first = read(heart_run / "init.h5", "init")[0]["history"]

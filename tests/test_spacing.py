@@ -301,9 +301,9 @@ def test_varied_triangles_are_longer_along_the_shape(tmp_path: Path) -> None:
 def test_close_creases_take_few_triangles_more() -> None:
     points = np.random.default_rng(0).uniform(0, 8, (4000, 3)) * [1, 1, 0]
     field = LengthField(points, np.full(4000, 0.5))
-    for creases, low, high in ((50, 0.03, 0.06), (2000, 0.2, 0.2)):
+    for creases, low, high in ((50, 0.03, 0.06), (2000, 0.1, 0.2)):
         most = np.full(4000, 0.5)
         most[-creases:] = 0.01
         lengths = _affordable(field, most, 4000 - creases, (0.03, 0.2), 64.0)
-        # Few get much of what they ask for, many no less than usual.
+        # Few get much of what they ask for, many next to nothing.
         assert low <= lengths.min() <= high

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ..metrics.intersections import self_intersections
 from ..surface.geometry import enclosed_volume, fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, split_pinched
@@ -30,6 +29,8 @@ def united(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     count = int(part.max()) + 1
     if count == 1 or not _boxes_meet(vertices, part):
         return None
+    from ..metrics.intersections import self_intersections  # what it compiles with is large
+
     pairs = part[triangles[self_intersections(vertices, triangles), 0]]
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
     if len(pairs) == 0:
