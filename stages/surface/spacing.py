@@ -116,15 +116,15 @@ def spaced(
     else:
         # Rays would meet the folds of a first surface.
         points, most = sampled_limits(surface, creases, longest, beside, apart)
-    count = len(points) - (0 if creases is None else len(creases.dense))
+    plain = len(points) - (0 if creases is None else len(creases.dense))
     field = LengthField(points, np.maximum(most, shortest))
     if exact and creases is not None:
         area = triangle_normals(vertices, triangles)[1].sum()
-        field.lengths = _affordable(field, most, count, (shortest, beside), area)
+        field.lengths = _affordable(field, most, plain, (shortest, beside), area)
     mesh = Sized(vertices.copy(), triangles.copy(), field(vertices))
     if spacing.faces is None:
         _check(
-            vertices, triangles, points[:count], field.lengths[:count], most[:count], spacing.most
+            vertices, triangles, points[:plain], field.lengths[:plain], most[:plain], spacing.most
         )
     missed, embedded = 0, EMBEDDED
     if exact:
