@@ -17,8 +17,7 @@ from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.losses import conforming
 from vorolight.stages.optimize import conforming as conforming_training
-from vorolight.stages.optimize.descent import SHORTER, TERMS, Problem, descend, first_damping
-from vorolight.stages.optimize.least_squares import Block, GaussNewton
+from vorolight.stages.optimize.descent import Problem, descend, first_damping
 from vorolight.stages.optimize.polygons import Paired, PairedProblem
 from vorolight.stages.optimize.sphere_problem import SphereProblem
 from vorolight.stages.optimize.spheres import Spheres
@@ -174,100 +173,6 @@ def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
     assert (values[0, :12] == 0).all()
     assert values[0, 12:].tolist() == [-2, 4, 0, -2]
     assert columns[0, 12:].tolist() == [12, 13, 14, 15]
-
-
-class Cliffs:
-    """``(x - 3)^2`` for each of the unknowns, up to a point beyond which it has no finite value."""
-
-    count, units = 1, None
-
-    def __init__(self, *edges: float) -> None:
-        self.edges = np.array(edges)
-        self.free = np.ones(len(edges), bool)
-
-    def prepare(self, state: np.ndarray, factor: float) -> None:
-        pass
-
-    def residuals(self, state: np.ndarray) -> dict[str, np.ndarray]:
-        value = np.where(state <= self.edges, state - 3.0, np.inf)
-        return {name: value if name == "shape" else np.zeros(1) for name in TERMS}
-
-    def blocks(self, state: np.ndarray, residuals: dict[str, np.ndarray]) -> list[Block]:
-        column = np.arange(len(self.edges))[:, None]
-        return [Block.dense(column, np.ones(column.shape), residuals["shape"])]
-
-    def moved(self, state: np.ndarray, step: np.ndarray) -> np.ndarray:
-        return state + step
-
-    def energies(self, residuals: dict[str, np.ndarray]) -> np.ndarray:
-        return residuals["shape"] ** 2
-
-    def around(self, places: np.ndarray) -> np.ndarray:
-        return places
-
-    def spread(self, values: np.ndarray) -> np.ndarray:
-        return values
-
-
-def test_a_step_to_what_is_not_finite_is_not_taken() -> None:
-    def to(*edges: float, steps: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        start = np.zeros(len(edges)), [1.0] * steps, first_damping(len(edges))
-        return descend(Cliffs(*edges), *start)[:2]
-
-    assert to(5.0, steps=8)[0] == pytest.approx(3, abs=1e-3)
-    # The whole step leads too far, and is shortened.
-    state, losses = to(1.5)
-    assert state == pytest.approx(SHORTER * 3 / 1.01)
-    assert np.isfinite(losses).all()
-    with pytest.raises(NumericalFailure, match="not finite"):
-        to(-1.0)
-
-
-def test_a_place_that_cannot_be_moved_keeps_no_other_from_its_step() -> None:
-    start = np.zeros(3), [1.0] * 8, first_damping(3)
-    state, _, damping = descend(Cliffs(5.0, 1e-9, 5.0), *start)
-    assert state[[0, 2]] == pytest.approx(3, abs=1e-3)
-    assert state[1] == pytest.approx(0, abs=1e-8)
-    assert damping[1] > 10 > 0.01 > damping[0]
-
-
-def test_steep_unknowns_hide_no_others() -> None:
-    # Conjugate gradients stop by what the preconditioner says, not by the steepest slope.
-    steep = np.array([1e8, 1.0, 1.0])
-    block = Block.dense(np.arange(3)[:, None], steep[:, None], steep)
-    step = GaussNewton([block], np.ones(3, bool), 1 / steep).step(1e-6)
-    assert step == pytest.approx(-1, rel=0.02)
-
-
-@pytest.mark.parametrize("mkl", [True, False])
-def test_a_step_is_the_least_squares_solution(mkl: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    import torch
-
-    if not mkl:  # as where torch comes without it
-        monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: False)
-    random = np.random.default_rng(0)
-    matrix = random.normal(size=(300, 40)) * (random.random((300, 40)) < 0.3)
-    residual = random.normal(size=300)
-    columns = np.broadcast_to(np.arange(40), (300, 40))
-    damping = 0.05
-    step = GaussNewton([Block.dense(columns, matrix, residual)], np.ones(40, bool)).step(damping)
-    shift = damping * (matrix**2).sum(axis=0).mean()
-    exact = np.linalg.solve(matrix.T @ matrix + shift * np.eye(40), -matrix.T @ residual)
-    # The gradients stop at a hundredth of the gradient; the matrix is well conditioned.
-    assert np.linalg.norm(step - exact) < 0.03 * np.linalg.norm(exact)
-
-
-def test_unknowns_that_are_not_free_stay() -> None:
-    columns = np.array([[0, 1], [1, 2], [0, 2]])
-    values = np.array([[1.0, 2.0], [1.0, -1.0], [3.0, 1.0]])
-    block = Block.dense(columns, values, np.array([1.0, 2.0, 3.0]))
-    matrix = np.zeros((3, 3))
-    np.add.at(matrix, (block.rows, block.columns), block.values)
-    step = GaussNewton([block], np.ones(3, bool)).step(0.0)
-    assert matrix @ step == pytest.approx([-1, -2, -3], rel=0.05)
-    held = GaussNewton([block], np.array([True, False, True])).step(0.0)
-    assert held[1] == 0
-    assert (matrix.T @ (matrix @ held + [1, 2, 3]))[[0, 2]] == pytest.approx([0, 0], abs=0.2)
 
 
 @pytest.mark.parametrize("mesh", [sphere_mesh(1.0, 3), torus_mesh(1.0, 0.4, 40, 20)])

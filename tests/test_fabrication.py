@@ -24,6 +24,7 @@ from vorolight.stages.fabrication import (
 )
 from vorolight.stages.surface.geometry import face_frames
 from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.solids import solid_of
 
 BALL = PolygonMesh.of_triangles(*sphere_mesh(30.0, 1))
 
@@ -153,7 +154,7 @@ def test_a_shell_is_nowhere_thinner_than_asked() -> None:
     ball = PolygonMesh.of_triangles(*sphere_mesh(30.0, 3))
     body, distances = solid.shell(ball, 2.0)
     assert distances.min() >= 2.0
-    outside = solid.base.solid_of(ball).volume()
+    outside = solid_of(ball).volume()
     hollow = outside - body.volume()
     # Half a grid cell further in than asked: 60 / 128 / 2.
     assert hollow == pytest.approx(4 / 3 * np.pi * (30 - 2 - 0.235) ** 3, rel=0.02)

@@ -22,6 +22,7 @@ from vorolight.stages.fabrication.base import Place
 from vorolight.stages.render import lit
 from vorolight.stages.sources.parity import RayParity
 from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.solids import solid_of
 
 BALL = PolygonMesh.of_triangles(*sphere_mesh(1.0, 3))
 TEA = lights.PRESETS["tea-light"]
@@ -64,7 +65,7 @@ def test_the_cavity_goes_where_there_is_room() -> None:
 
 
 def test_a_room_that_stands_out_is_found_out() -> None:
-    solid = base.solid_of(BALL.with_vertices(30 * BALL.vertices))
+    solid = solid_of(BALL.with_vertices(30 * BALL.vertices))
     rooms = [lights.Room(10.0, -20.0, 20.0)]
     assert base.lies_within(rooms, Place(0, 0, 0), solid)
     assert not base.lies_within(rooms, Place(13, 0, 0), solid)
@@ -95,7 +96,7 @@ def test_pedestals_carry_what_stands_beside_the_window() -> None:
     body = standing.add[0]
     for added in standing.add[1:]:
         body += added
-    upper = base.solid_of(placed).trim_by_plane((0, 0, 1), stance.lift - 0.5)
+    upper = solid_of(placed).trim_by_plane((0, 0, 1), stance.lift - 0.5)
     for taken in standing.remove:
         body -= taken
     assert len((body + upper).decompose()) == 1

@@ -9,6 +9,7 @@ import pytest
 from conftest import sphere_mesh, surface_of, torus_mesh, write_ply
 from hypothesis import given
 from hypothesis import strategies as st
+from manifold3d import Manifold
 
 from vorolight.stages.metrics.intersections import self_intersections
 from vorolight.stages.optimize.repair import rounded
@@ -23,7 +24,7 @@ from vorolight.stages.surface.embedding import kept_embedded
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.remesh import remesh
-from vorolight.stages.surface.sheets import part
+from vorolight.stages.surface.sheets import draw_back, part
 from vorolight.stages.surface.sizing import LengthField, thickness
 from vorolight.stages.surface.topology import topology
 from vorolight.stages.voronoi.interface import interface
@@ -169,11 +170,21 @@ def test_narrow_gaps_and_thin_walls_are_parted() -> None:
     assert len(self_intersections(flat.vertices, flat.triangles)) == 0
 
 
+def test_bodies_that_have_gone_through_each_other_draw_back() -> None:
+    vertices, triangles = sphere_mesh(1.0, 3)
+    both = np.concatenate([triangles, triangles + len(vertices)])
+    beside = np.concatenate([vertices, vertices + np.array([1.95, 0, 0])])
+    mesh = Sized(beside, both, np.full(len(beside), 0.15))
+    assert len(self_intersections(mesh.vertices, both)) > 0
+    draw_back(mesh, np.ones(len(beside), bool))
+    assert len(self_intersections(mesh.vertices, both)) == 0
+    left = mesh.vertices[: len(vertices), 0].max()
+    right = mesh.vertices[len(vertices) :, 0].min()
+    assert right > left
+
+
 def test_a_neck_that_is_too_thin_is_made_as_thick_as_its_edges_are_long() -> None:
     # A thread of three sides between two balls, as smoothing alone would leave it.
-    pytest.importorskip("manifold3d")
-    from manifold3d import Manifold
-
     thread = Manifold.cylinder(2.0, 0.01, 0.01, 3, True).refine_to_length(0.1)
     balls = [Manifold.sphere(0.5, 24).translate([0, 0, z]) for z in (-1.2, 1.2)]
     made = (balls[0] + thread + balls[1]).to_mesh64()

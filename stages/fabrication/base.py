@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import NumericalFailure
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, PolygonMesh
 from . import layers, lights
@@ -36,17 +35,6 @@ class Place:
     y: float
     slack: float
     """By how much all its rooms could grow in radius and stay inside; negative: they do not fit."""
-
-
-def solid_of(surface: PolygonMesh) -> Any:
-    """The inside of a closed surface as a body. Raises NumericalFailure if it is none."""
-    from manifold3d import Manifold, Mesh64
-
-    vertices, triangles, _ = fan_triangles(surface)
-    solid = Manifold(Mesh64(vertices, triangles.astype(np.uint64)))
-    if solid.status().name != "NoError" or solid.is_empty():
-        raise NumericalFailure(f"the surface makes no solid ({solid.status().name})")
-    return solid
 
 
 class Inside:

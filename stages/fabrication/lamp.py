@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import UsageError
 from ..surface.polygons import Floats, PolygonMesh
+from ..surface.solids import solid_of
 from . import base, lights
 from .base import Place
 from .lights import Cavity, Light, Room
@@ -124,7 +125,7 @@ def _on_pedestal(
         matrix = _matrix(polygons, asked, trim, lift)
         stance = Stance(matrix, trim, lift, "pedestal", cavity, None, room)
         placed = stance.apply(surface)
-        solid = base.solid_of(placed)
+        solid = solid_of(placed)
         if cavity.bulb is None:
             x, y, _ = centre_of_edges(stance.apply(polygons), lift)
             place = Place(float(x), float(y), 0.0)
@@ -164,7 +165,7 @@ def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stanc
     does."""
     placed = stance.apply(surface)
     inside = base.Inside(placed)
-    solid = base.solid_of(placed).trim_by_plane((0, 0, 1), 0.0)
+    solid = solid_of(placed).trim_by_plane((0, 0, 1), 0.0)
     cavity = stance.cavity
     assert cavity is not None
     place = inside.place(cavity.rooms(asked.overhang))
@@ -241,7 +242,7 @@ def bodies(stance: Stance, surface: PolygonMesh, polygons: PolygonMesh, cable: f
     """The base's bodies; ``surface`` and ``polygons`` are already in mm."""
     if stance.base == "none":
         return Stand([], [], None, False, 0.0)
-    solid = base.solid_of(surface)
+    solid = solid_of(surface)
     centre = centre_of_edges(polygons, stance.lift)
     cavity, place = stance.cavity, stance.place
     widened = False

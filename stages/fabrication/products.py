@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import NumericalFailure, UsageError
 from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, PolygonMesh
+from ..surface.solids import solid_of
 from . import assembly, base, lamp, lattice, printability
 from . import solid as solids
 from .assembly import Part
@@ -95,7 +96,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
     surface = stance.apply(shape.surface)
     checks = []
     if wall is None:
-        body = base.solid_of(surface)
+        body = solid_of(surface)
     else:
         body, distances = solids.shell(surface, wall)
         checks.append(printability.shell(distances, wall))

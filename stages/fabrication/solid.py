@@ -10,8 +10,8 @@ import numpy as np
 from ..errors import NumericalFailure, UsageError
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.solids import solid_of
 from ..surface.topology import edges
-from . import base
 
 GRID = 128
 """Cells of the distance grid along the longest side; more where the wall would be under two."""
@@ -30,7 +30,7 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
     import igl
     from manifold3d import Manifold, Mesh64
 
-    solid = base.solid_of(surface)
+    solid = solid_of(surface)
     vertices, triangles, _ = fan_triangles(surface)
     longest = float(np.ptp(vertices, axis=0).max())
     cells = int(np.clip(np.ceil(2 * longest / wall), GRID, MOST_GRID))

@@ -276,6 +276,7 @@ class MeshSource(TriangleSource):
             self.__dict__["polygons"] = PolygonMesh.of_triangles(
                 stored["source/vertices"], stored["source/triangles"]
             )
+            self.reach = 0.0  # it has been welded as was asked
 
     def warnings(self) -> list[str]:
         said = []

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from ..surface.geometry import enclosed_volume, fan_triangles
+from ..errors import NumericalFailure
+from ..surface.geometry import component_volumes, fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import bad_edges, split_pinched
+from ..surface.solids import solid_of
+from ..surface.topology import bad_edges, face_components, split_pinched
 from .parity import RayParity
 
 SAME = 9
@@ -22,43 +22,43 @@ def united(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     A part that is turned inside out is a cavity where it lies within another that it does not
     cross; elsewhere it is taken the right way round.
     """
-    vertices, triangles = fan_triangles(mesh)[:2]
-    mesh = split_pinched(PolygonMesh.of_triangles(vertices, triangles))
-    vertices, triangles = fan_triangles(mesh)[:2]
-    part = _parts(triangles, len(vertices))
-    count = int(part.max()) + 1
-    if count == 1 or not _boxes_meet(vertices, part):
+    mesh = split_pinched(PolygonMesh.of_triangles(*fan_triangles(mesh)[:2]))
+    count, part = face_components(mesh)
+    if count == 1 or not _boxes_meet(mesh, part, count):
         return None
     from ..metrics.intersections import self_intersections  # what it compiles with is large
 
-    pairs = part[triangles[self_intersections(vertices, triangles), 0]]
+    triangles = mesh.face_vertices.reshape(-1, 3)
+    pairs = part[self_intersections(mesh.vertices, triangles)]
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
     if len(pairs) == 0:
         return None
     from manifold3d import Manifold, OpType
 
-    shells = [triangles[part[triangles[:, 0]] == number] for number in range(count)]
-    volume = np.array([enclosed_volume(vertices, shell) for shell in shells])
-    solids = [
-        _solid(vertices, shell if outward else shell[:, ::-1])
-        for shell, outward in zip(shells, volume > 0, strict=True)
+    volume = component_volumes(mesh, part, count)
+    shells = [
+        PolygonMesh.of_triangles(
+            mesh.vertices, triangles[part == number][:, :: 1 if volume[number] > 0 else -1]
+        ).without_unused_vertices()
+        for number in range(count)
     ]
-    if any(solid.status().name != "NoError" for solid in solids):
+    try:
+        solids = [solid_of(shell) for shell in shells]
+    except NumericalFailure:
         return None
-    bodies = [solid for solid, outward in zip(solids, volume > 0, strict=True) if outward]
     outer = np.flatnonzero(volume > 0)
     outer = outer[np.argsort(volume[outer])]
+    bodies = {int(number): solids[number] for number in outer}
     for number in np.flatnonzero(volume <= 0):
-        crossed = pairs[(pairs == number).any(axis=1)].reshape(-1)
-        tip = vertices[shells[number][0, 0]][None]
+        crossed = pairs[(pairs == number).any(axis=1)]
+        tip = shells[number].vertices[:1]
         for around in outer[~np.isin(outer, crossed)]:
-            if RayParity(vertices, shells[around]).inside(tip)[0]:
-                at = int(np.flatnonzero(np.flatnonzero(volume > 0) == around)[0])
-                bodies[at] = bodies[at] - solids[number]
+            if RayParity(shells[around].vertices, fan_triangles(shells[around])[1]).inside(tip)[0]:
+                bodies[around] = bodies[around] - solids[number]
                 break
         else:
-            bodies.append(solids[number])
-    found = Manifold.batch_boolean(bodies, OpType.Add).to_mesh64()
+            bodies[number] = solids[number]
+    found = Manifold.batch_boolean(list(bodies.values()), OpType.Add).to_mesh64()
     result = PolygonMesh.of_triangles(
         np.asarray(found.vert_properties)[:, :3].copy(), np.asarray(found.tri_verts, np.int64)
     )
@@ -88,6 +88,8 @@ def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     agreeing = np.flatnonzero(sign == np.sign(total[same]))
     kept = np.unique(agreeing[np.unique(same[agreeing], return_index=True)[1]])
     left_out = len(triangles) - len(kept)
+    if len(kept) == 0:
+        return None
     triangles = triangles[kept]
     corner = np.arange(triangles.size)
     start, following = triangles.reshape(-1), np.roll(corner.reshape(-1, 3), -1, axis=1).reshape(-1)
@@ -101,7 +103,7 @@ def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     at = np.zeros(count, dtype=np.int64)
     at[group] = start
     result = PolygonMesh.of_triangles(vertices[at], group.reshape(-1, 3).astype(np.int64))
-    if result.face_count == 0 or len(bad_edges(result)):
+    if len(bad_edges(result)):
         return None
     return result, left_out
 
@@ -132,36 +134,19 @@ def _sides(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
     return one[fitting], other[fitting]
 
 
-def _parts(triangles: Ints, count: int) -> Ints:
-    """The connected part ``(V,)`` of each of ``count`` vertices."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
-    graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1])
-
-
-def _boxes_meet(vertices: Floats, part: Ints) -> bool:
-    """Whether the bounding boxes of two parts have a point in common."""
-    count = int(part.max()) + 1
+def _boxes_meet(mesh: PolygonMesh, part: Ints, count: int) -> bool:
+    """Whether the bounding boxes of two of ``count`` parts have a point in common; ``part (F,)`` is
+    that of each face."""
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, part, vertices)
-    np.maximum.at(high, part, vertices)
+    at, of = mesh.vertices[mesh.face_vertices], part[mesh.corner_faces]
+    np.minimum.at(low, of, at)
+    np.maximum.at(high, of, at)
     # Sorted along an axis, a box can only meet those that begin before it ends.
     order = np.argsort(low[:, 0])
     last = np.searchsorted(low[order, 0], high[order, 0], side="right")
     for number, end in enumerate(last):
-        at, others = order[number], order[number + 1 : end]
-        meets = (low[others] <= high[at]).all(axis=1) & (high[others] >= low[at]).all(axis=1)
+        own, others = order[number], order[number + 1 : end]
+        meets = (low[others] <= high[own]).all(axis=1) & (high[others] >= low[own]).all(axis=1)
         if meets.any():
             return True
     return False
-
-
-def _solid(vertices: Floats, triangles: Ints) -> Any:
-    from manifold3d import Manifold, Mesh64
-
-    used, corners = np.unique(triangles, return_inverse=True)
-    corners = corners.reshape(-1, 3).astype(np.uint64)
-    return Manifold(Mesh64(np.ascontiguousarray(vertices[used]), np.ascontiguousarray(corners)))

@@ -46,8 +46,9 @@ def kept_embedded(before: Floats, after: Floats, triangles: Ints) -> Floats:
 def embedded(
     change: Callable[[Sized, NDArray[np.bool_]], int], mesh: Sized, where: NDArray[np.bool_]
 ) -> None:
-    """Make a ``change`` of edges ``where (V,)``, but for those around which triangles would cross
-    that did not. The change may take vertices away; it adds none."""
+    """Make a ``change`` of edges ``where (V,)``, but for those around which triangles would cross,
+    so that no more of them do than before; none at all where leaving these out does not help. The
+    change may take vertices away; it adds none."""
     known = len(self_intersections(mesh.vertices, mesh.triangles))
     number = np.arange(len(mesh.vertices), dtype=np.float64)
     where = where.copy()

@@ -103,10 +103,10 @@ def spaced(
     and across which shorter. Raises TooManyTriangles.
     """
     base, smallest, largest, apart = spacing.length, SMALLEST, 1.0, THINNEST
+    area = float(triangle_normals(vertices, triangles)[1].sum())
     if spacing.varied:
         smallest, largest, apart = FINEST, COARSEST, THIN
         if spacing.faces is not None:
-            area = triangle_normals(vertices, triangles)[1].sum()
             base = float(np.sqrt(area / (CELL * spacing.faces)))
     beside = spacing.shortest or min(smallest * base, spacing.longest or np.inf)
     shortest = spacing.shortest or (min(LEAST, beside) if exact else beside)
@@ -119,8 +119,8 @@ def spaced(
     plain = len(points) - (0 if creases is None else len(creases.dense))
     field = LengthField(points, np.maximum(most, shortest))
     if exact and creases is not None:
-        area = triangle_normals(vertices, triangles)[1].sum()
-        field.lengths = _affordable(field, most, plain, (shortest, beside), area)
+        most = _affordable(field, most, plain, (shortest, beside), area)
+        field.lengths = field.graded(np.maximum(most, shortest))
     mesh = Sized(vertices.copy(), triangles.copy(), field(vertices))
     if spacing.faces is None:
         _check(
@@ -162,7 +162,7 @@ def limits(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Points of a surface and the largest lengths there, ``(N, 3), (N,)``: at most ``longest``,
     less where the shape or a gap is thin, or creases are close to each other: ``apart`` times that
-    distance, but ``beside`` creases no less than that."""
+    distance. In a wedge they are no less than ``beside``, between creases than ``shortest``."""
     count = SAMPLES
     _, area = triangle_normals(vertices, triangles)
     while True:
@@ -187,33 +187,33 @@ def sampled_limits(
 
 
 def _with_creases(
-    points: Floats, most: Floats, creases: Creases | None, longest: float, beside: float,
+    points: Floats, most: Floats, creases: Creases | None, longest: float, shortest: float,
     apart: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """``points`` and lengths with those of creases."""
     if creases is None:
         return points, most
     close = apart * separation(creases.dense, creases.tangents, longest / apart)
-    most = np.append(most, np.clip(close, beside, longest))
+    most = np.append(most, np.clip(close, shortest, longest))
     return np.concatenate([points, creases.dense]), most
 
 
 def _affordable(
     field: LengthField, most: Floats, count: int, floor: tuple[float, float], area: float
 ) -> Floats:
-    """Graded lengths, with those between close creases as short as ``most (N,)`` says, but no
-    shorter than what takes few triangles more than the larger ``floor`` does. The points of the
-    creases are those from ``count`` on."""
+    """The largest lengths ``most (N,)``, raised between close creases, whose points are those from
+    ``count`` on, as far as they would take many triangles more on ``area`` than the larger
+    ``floor`` does."""
 
-    def lengths(least: float) -> tuple[Floats, float]:
-        wanted = np.maximum(most, floor[0])
+    def raised(least: float) -> tuple[Floats, float]:
+        wanted = most.copy()
         wanted[count:] = np.maximum(wanted[count:], least)
-        graded = field.graded(wanted)
-        return graded, float(area / CELL * (1 / graded[:count] ** 2).mean())
+        graded = field.graded(np.maximum(wanted, floor[0]))
+        return wanted, float(area / CELL * (1 / graded[:count] ** 2).mean())
 
-    usual, faces = lengths(floor[1])
+    usual, faces = raised(floor[1])
     for least in np.geomspace(*floor, FLOORS)[:-1]:
-        found, needed = lengths(least)
+        found, needed = raised(least)
         if needed <= MORE[0] + MORE[1] * faces:
             return found
     return usual

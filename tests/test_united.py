@@ -1,0 +1,150 @@
+"""Parts of a mesh that nearly meet, touch or cross each other: welded, told apart, united."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import sphere_mesh, write_ply
+
+from vorolight.stages.export import ply
+from vorolight.stages.sources.mesh import MeshSource
+from vorolight.stages.surface.geometry import enclosed_volume
+from vorolight.stages.surface.polygons import PolygonMesh
+
+
+def test_vertices_equal_in_single_precision_are_welded(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    random = np.random.default_rng(0)
+    soup = vertices[triangles.reshape(-1)] + [10.0, 0, 0]
+    soup = soup + 1e-7 * random.normal(size=soup.shape)
+    faces = np.arange(len(soup)).reshape(-1, 3)
+    source = MeshSource(write_ply(tmp_path / "soup.ply", soup, faces))
+    assert source.topology() == (2, 1)
+    assert source.describe()["welded_vertices"] == len(soup) - len(vertices)
+    # What is further apart stays so: a slit of a thousandth is none of rounding.
+    slit = soup + np.where((faces % 3 == 0).reshape(-1, 1), [0, 0, 1e-3], 0)
+    assert MeshSource(write_ply(tmp_path / "slit.ply", slit, faces)).topology() is None
+
+
+def test_features_smaller_than_rounding_are_kept_where_a_mesh_is_closed(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    tiny = np.concatenate([vertices, 1e-7 * vertices + [3.0, 0, 0]])
+    both = np.concatenate([triangles, len(vertices) + triangles])
+    path = tmp_path / "two.ply"
+    path.write_bytes(ply.encode(PolygonMesh.of_triangles(tiny, both)))  # in double precision
+    assert MeshSource(path).topology() == (4, 2)
+
+
+def cubes(*shifts: tuple[float, float, float], turned: int = -1) -> tuple[np.ndarray, np.ndarray]:
+    """Unit cubes, that of number ``turned`` inside out."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    quads = np.array(
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    )
+    triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+    parts = [triangles[:, ::-1] if n == turned else triangles for n in range(len(shifts))]
+    return (
+        np.concatenate([corners + shift for shift in shifts]),
+        np.concatenate([8 * n + part for n, part in enumerate(parts)]),
+    )
+
+
+@pytest.mark.parametrize("turned", [-1, 1])
+def test_closed_parts_that_cross_are_united(turned: int, tmp_path: Path) -> None:
+    shift = (0.4, 0.3, 0.2)
+    source = MeshSource(write_ply(tmp_path / "two.ply", *cubes((0, 0, 0), shift, turned=turned)))
+    assert source.topology() == (2, 1)
+    volume = enclosed_volume(source.vertices, source.triangles)
+    assert volume == pytest.approx(2 - 0.6 * 0.7 * 0.8, rel=1e-6)
+    assert source.describe()["united_parts"] == 2
+    assert "2 closed parts of the mesh cross each other" in "".join(source.warnings())
+    points = np.random.default_rng(0).uniform(-0.2, 1.6, (2000, 3))
+    one, other = (((points > low) & (points < np.add(low, 1))).all(axis=1)
+                  for low in ((0, 0, 0), shift))  # fmt: skip
+    assert np.array_equal(source.inside(points), one | other)
+
+
+def test_a_cavity_stays_one_where_another_part_crosses_its_body(tmp_path: Path) -> None:
+    vertices, triangles = cubes((0, 0, 0), (0, 0, 0), (0.9, 0, 0), turned=1)
+    vertices[8:16] = 0.5 * vertices[8:16] + 0.25
+    source = MeshSource(write_ply(tmp_path / "hollow.ply", vertices, triangles))
+    assert source.topology() == (4, 2)
+    volume = enclosed_volume(source.vertices, source.triangles)
+    assert volume == pytest.approx(2 - 0.1 - 0.125, rel=1e-6)
+
+
+def test_parts_beside_or_within_each_other_are_left_as_they_are(tmp_path: Path) -> None:
+    apart = MeshSource(write_ply(tmp_path / "apart.ply", *cubes((0, 0, 0), (1.5, 0.5, 0))))
+    assert apart.topology() == (4, 2)
+    assert apart.describe()["united_parts"] == 0
+    assert apart.warnings() == []
+
+
+@pytest.mark.parametrize(
+    ("shift", "expected", "left_out"),
+    [((1, 0, 0), (2, 1), 4), ((1, 1, 0), (4, 2), 0), ((0, 0, 0), (2, 1), 12)],
+)
+def test_parts_that_touch_are_closed(
+    shift: tuple[float, float, float], expected: tuple[int, int], left_out: int, tmp_path: Path
+) -> None:
+    """Two cubes with a common face are one, along a common edge they stay two, and a surface that
+    is there twice counts once."""
+    vertices, triangles = cubes((0, 0, 0), shift)
+    if left_out == 4:  # the common face is cut along the same diagonal
+        mirrored = vertices[8:] * [-1, 1, 1] + [3, 0, 0]
+        vertices = np.concatenate([vertices[:8], mirrored])
+        triangles = np.concatenate([triangles[:12], triangles[12:, ::-1]])
+    source = MeshSource(write_ply(tmp_path / "touch.ply", vertices, triangles))
+    assert source.topology() == expected
+    assert source.open_edges == 0
+    assert f"{left_out} of its 24 faces are left out" in source.warnings()[0]
+
+
+def test_a_point_in_common_leaves_two_parts(tmp_path: Path) -> None:
+    source = MeshSource(write_ply(tmp_path / "point.ply", *cubes((0, 0, 0), (1, 1, 1))))
+    assert source.topology() == (4, 2)
+
+
+def test_the_distance_of_welding_can_be_given(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    soup = vertices[triangles.reshape(-1)]
+    soup = soup + 1e-7 * np.random.default_rng(0).normal(size=soup.shape)
+    slit = soup + np.where((np.arange(len(soup)) % 3 == 0)[:, None], [0, 0, 1e-3], 0)
+    path = write_ply(tmp_path / "slit.ply", slit, np.arange(len(soup)).reshape(-1, 3))
+    for reach, expected in ((None, None), (0.0, None), (2e-3, (2, 1))):
+        source = MeshSource(path)
+        source.reach = reach
+        assert source.topology() == expected
+        again = MeshSource(path)
+        again.restore(source.state())  # what later stages see
+        assert again.topology() == expected
+
+
+def test_what_is_not_to_be_welded_is_not_in_later_stages(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    soup = vertices[triangles.reshape(-1)]
+    soup = soup + 1e-7 * np.random.default_rng(0).normal(size=soup.shape)
+    path = write_ply(tmp_path / "soup.ply", soup, np.arange(len(soup)).reshape(-1, 3))
+    assert MeshSource(path).topology() == (2, 1)
+    source, again = MeshSource(path), MeshSource(path)
+    source.reach = 0.0
+    again.restore(source.state())
+    assert source.topology() is None
+    assert again.topology() is None
+
+
+def test_a_sheet_that_is_there_both_ways_is_no_solid(tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.1]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]])
+    assert MeshSource(write_ply(tmp_path / "sheet.ply", corners, faces)).topology() is None
+
+
+def test_a_common_face_cut_along_other_diagonals_is_left_out(tmp_path: Path) -> None:
+    source = MeshSource(write_ply(tmp_path / "touch.ply", *cubes((0, 0, 0), (1, 0, 0))))
+    assert source.topology() == (2, 1)
+    assert enclosed_volume(source.vertices, source.triangles) == pytest.approx(2)
+    # No face is left between the two.
+    middle = source.vertices[source.triangles].mean(axis=1)
+    assert (np.abs(middle[:, 0] - 1) > 1e-6).all()
