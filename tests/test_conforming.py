@@ -165,6 +165,22 @@ def test_a_triangle_without_area_stalls_nothing(tmp_path: Path) -> None:
     assert np.median(damping) < 1
 
 
+def test_a_triangle_as_good_as_flat_pulls_at_nothing(tmp_path: Path) -> None:
+    """What its pair misses is cut off, so is the derivative: it would be larger than all others."""
+    surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.0, 3))
+    for height, pulls in ((0.15, True), (1e-5, False)):
+        spheres = squeezed(height)
+        problem = SphereProblem(spheres, surface, None, WEIGHTS, np.ones(42, bool), 1)
+        problem.prepare(spheres, 1.0)
+        residuals = problem.residuals(spheres)
+        flattest = int(spheres.pairs().square.argmin())
+        short = -spheres.pairs().square[flattest] / spheres.face_lengths[flattest] ** 2
+        assert (short > 1e3) != pulls
+        pair = problem.blocks(spheres, residuals)[0]
+        row = np.flatnonzero(np.flatnonzero(residuals["intersection"]) == flattest)
+        assert pair.values[np.isin(pair.rows, row)].any() == pulls
+
+
 def test_a_generator_in_the_plane_of_its_centres_follows_nothing() -> None:
     centres = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 3, 0]])
     columns, values = conforming.power_gradient(
