@@ -48,11 +48,11 @@ def united(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
         return None
     outer = np.flatnonzero(volume > 0)
     outer = outer[np.argsort(volume[outer])]
-    bodies = {int(number): solids[number] for number in outer}
-    for number in np.flatnonzero(volume <= 0):
+    bodies = {number: solids[number] for number in outer.tolist()}
+    for number in np.flatnonzero(volume <= 0).tolist():
         crossed = pairs[(pairs == number).any(axis=1)]
         tip = shells[number].vertices[:1]
-        for around in outer[~np.isin(outer, crossed)]:
+        for around in outer[~np.isin(outer, crossed)].tolist():
             if RayParity(shells[around].vertices, fan_triangles(shells[around])[1]).inside(tip)[0]:
                 bodies[around] = bodies[around] - solids[number]
                 break
