@@ -217,6 +217,8 @@ def _outcome(
 
     Raises NumericalFailure where triangles have no certificate and must: ``resisting`` says where.
     """
+    from functools import partial
+
     from .export import ply
     from .metrics import watertight
     from .optimize.descent import TERMS
@@ -237,6 +239,7 @@ def _outcome(
     found = written(trained, radii, inside, outside, merge, context.threads, refused)
     warnings = warnings + found.warnings(count, merge)
     facts, expected = topology(found.mesh), context.source().topology()
+    trained_facts = topology(trained)
     if expected is not None and expected != (facts.euler_number, facts.components):
         warnings.append(
             f"the surface has Euler number {facts.euler_number} and {facts.components} components, "
@@ -265,13 +268,16 @@ def _outcome(
             "topology_of_input": None
             if expected is None
             else {"euler_number": expected[0], "components": expected[1]},
-            "trained_topology": vars(topology(trained)),
+            "trained_topology": vars(trained_facts),
             **found.facts(),
             "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
             **metrics,
         },
         warnings=warnings,
-        recheck=watertight.as_written,
+        recheck=partial(
+            watertight.as_written,
+            certified=trained_facts if found.certificate.holds else None,
+        ),
     )
 
 

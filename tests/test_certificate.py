@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import random_rotation, sphere_mesh
+from conftest import random_rotation, sphere_mesh, torus_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.hdf5 import read
+from vorolight.stages.errors import NumericalFailure
+from vorolight.stages.export import ply
+from vorolight.stages.metrics.watertight import as_written
 from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.surface.edge_table import Sized
 from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.topology import topology
 from vorolight.stages.voronoi.certificate import Certificate, certify
 
 
@@ -57,6 +61,18 @@ def test_a_conforming_sphere_has_it(sphere: Case) -> None:
     assert found.failed == ()
     assert found.incident_power < 1e-13
     assert found.margin > 0.01
+
+
+def test_a_file_has_the_topology_that_was_certified(tmp_path: Path, sphere: Case) -> None:
+    path = tmp_path / "surface.ply"
+    path.write_bytes(ply.encode(sphere.mesh))
+    found = as_written({"ply": path}, topology(sphere.mesh))
+    assert (found["euler_number"], found["components"]) == (2, 1)
+    assert found["certified_topology"]
+    assert not as_written({"ply": path})["certified_topology"]
+    torus = topology(PolygonMesh.of_triangles(*torus_mesh(3.0, 1.0, 16, 8)))
+    with pytest.raises(NumericalFailure, match="Euler number 2 and 1 components"):
+        as_written({"ply": path}, torus)
 
 
 @given(st.integers(0, 10**6))

@@ -231,6 +231,7 @@ def test_a_certified_run_and_its_evaluation(heart_run: Path) -> None:
     assert trained["faces_after_merging"] == trained["trained_faces"]
     assert trained["conformity"]["pair_area_share"] > 0.99999
     assert trained["topology"] == trained["trained_topology"]
+    assert trained["as_written"]["certified_topology"]
     for key in ("holds", "failed", "intruders", "bad_rings", "turned_faces", "wound_wrongly"):
         assert found["certificate"][key] == trained["certificate"][key]
     assert found["certificate"]["margin"] == pytest.approx(trained["certificate"]["margin"])

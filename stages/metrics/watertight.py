@@ -8,14 +8,15 @@ from typing import Any
 from ..errors import NumericalFailure
 from ..export import ply
 from ..surface.geometry import enclosed_volume, fan_triangles
-from ..surface.topology import topology
+from ..surface.topology import Topology, topology
 
 
-def as_written(paths: dict[str, Path]) -> dict[str, Any]:
+def as_written(paths: dict[str, Path], certified: Topology | None = None) -> dict[str, Any]:
     """Read the PLY among the written files back and count.
 
-    Raises NumericalFailure unless every edge is in exactly two faces with opposite directions and
-    the surface faces outward.
+    Where the certificate holds, the written surface is the trained one, whose topology is
+    ``certified``. Raises NumericalFailure unless every edge is in exactly two faces with opposite
+    directions, the surface faces outward, and the file has the certified topology.
     """
     mesh = ply.read(paths["ply"])
     if mesh is None:
@@ -29,4 +30,16 @@ def as_written(paths: dict[str, Path]) -> dict[str, Any]:
         )
     if volume <= 0:
         raise NumericalFailure("the surface faces inward: the inside and outside are swapped")
-    return {"closed": True, "faces": facts.faces, "euler_number": facts.euler_number}
+    if certified is not None and facts != certified:
+        raise NumericalFailure(
+            f"{paths['ply'].name} has Euler number {facts.euler_number} and {facts.components} "
+            f"components, the certified surface {certified.euler_number} and "
+            f"{certified.components}: please report this"
+        )
+    return {
+        "closed": True,
+        "faces": facts.faces,
+        "euler_number": facts.euler_number,
+        "components": facts.components,
+        "certified_topology": certified is not None,
+    }
