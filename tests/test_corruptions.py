@@ -25,9 +25,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[corruptions.Benc
 
 
 def test_damaged_files(bench: corruptions.Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    ends = [corruptions.trial(bench, random.Random(f"test/{number}")) for number in range(30)]
+    # `make corruptions` tries many more.
+    ends = [corruptions.trial(bench, random.Random(f"test/{number}")) for number in range(12)]
     assert [end for end in ends if end[2] not in corruptions.FINE] == [], capsys.readouterr().out
-    assert sum(end == "refused" for _, _, end in ends) > 8
+    assert sum(end == "refused" for _, _, end in ends) > 2
 
 
 def test_hostile_arrays(bench: corruptions.Bench, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,7 +23,7 @@ from vorolight.stages.surface.edge_table import EdgeTable, Sized
 from vorolight.stages.surface.embedding import kept_embedded
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.remesh import remesh
+from vorolight.stages.surface.remesh import remesh, thin_out
 from vorolight.stages.surface.sheets import draw_back, part
 from vorolight.stages.surface.sizing import LengthField, thickness
 from vorolight.stages.surface.topology import topology
@@ -115,6 +115,19 @@ def test_remeshing_keeps_the_topology_and_evens_the_edges(mesh: tuple, tmp_path:
     assert geometry.enclosed_volume(found.vertices, found.triangles) == pytest.approx(
         geometry.enclosed_volume(*mesh), rel=0.002
     )
+
+
+def test_a_fine_input_is_thinned_out_with_its_vertices_in_place() -> None:
+    vertices, triangles = torus_mesh(4.0, 1.5, 240, 90)
+    mesh = Sized(vertices.copy(), triangles.copy(), np.ones(len(vertices)))
+    thin_out(mesh, lambda at: np.full(len(at), 0.6))
+    # As many as edges of that length have, which remeshing alone comes to in twelve iterations.
+    expected = 4 * np.pi**2 * 4.0 * 1.5 / (np.sqrt(3) / 4 * 0.6**2)
+    assert len(mesh.triangles) < 1.5 * expected < 0.1 * len(triangles)
+    facts = topology(PolygonMesh.of_triangles(mesh.vertices, mesh.triangles))
+    assert (facts.closed, facts.euler_number, facts.pinched_vertices) == (True, 0, 0)
+    assert np.isin(mesh.vertices @ [1, 3, 7], vertices @ [1, 3, 7]).all()
+    assert len(self_intersections(mesh.vertices, mesh.triangles)) == 0
 
 
 def test_remeshing_refuses_an_open_surface(tmp_path: Path) -> None:

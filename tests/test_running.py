@@ -36,10 +36,11 @@ def test_a_running_stage_holds_the_lock(tmp_path: Path, cli: Cli) -> None:
             ["--iterations", 120],
             "0*.h5",
         ),
-        (
+        pytest.param(
             [signal.SIGKILL, signal.SIGUSR1],
             ["--iterations", 30, "--faces", "polygon"],
             "10000[3-9].h5",
+            marks=pytest.mark.slow,
         ),
     ],
 )

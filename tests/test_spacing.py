@@ -214,6 +214,7 @@ def test_only_what_is_too_far_is_divided(tmp_path: Path) -> None:
     assert refined(spheres, surface, None, Refine(bound, len(spheres.triangles))) is None
 
 
+@pytest.mark.slow
 def test_faces_and_refinement_of_a_run(tmp_path: Path, cli: Cli) -> None:
     write_obj(tmp_path / "egg.obj", *egg(4))
     done = cli("init", "egg.obj", "-n", 14, "--iterations", 10, cwd=tmp_path)

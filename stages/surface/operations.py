@@ -21,8 +21,8 @@ PASSES = 8
 """Rounds of independent edges in one sweep of an operation."""
 STRETCH = 1.05
 """Factor by which an edge that is too long already may become longer."""
-TURN = 0.3
-"""Smallest cosine by which an operation may turn a triangle."""
+TURN, STRICT_TURN = 0.3, 0.8
+"""Smallest cosine by which an operation may turn a triangle, and where vertices stay in place."""
 SLIVER = 0.04
 """Area, in squared target lengths, below which the normal of a triangle means nothing."""
 FOLDED, OPENED = -0.5, 0.5
@@ -77,12 +77,16 @@ def split_long(
 
 
 def contract_short(
-    mesh: Sized, factor: float = SHORTEST, where: NDArray[np.bool_] | None = None
+    mesh: Sized,
+    factor: float = SHORTEST,
+    where: NDArray[np.bool_] | None = None,
+    to_ends: bool = False,
 ) -> int:
     """Contract edges shorter than ``factor`` target lengths to their middle or to an end, where
     the surface keeps its topology, no triangle turns over and no edge becomes too long.
 
-    ``where (V,)`` says which vertices may be ends (default: all). Returns the number of edges.
+    ``where (V,)`` says which vertices may be ends (default: all). With ``to_ends`` no edge is
+    contracted to its middle, so that all vertices stay where they are. Returns the number of edges.
     """
     done = 0
     refused: set[int] = set()
@@ -102,19 +106,24 @@ def contract_short(
         candidate = candidate[_common_neighbours(ends, candidate, count) == 2]
         if len(candidate) == 0:
             break
+        if to_ends:
+            # On a regular mesh the shortest of each neighbourhood are few.
+            ratio *= np.random.default_rng(0).uniform(0.5, 1.0, len(ratio))
         chosen = candidate[_apart(table, ratio, candidate, count)]
         a, b = ends[chosen].T
         # What is on a crease stays there.
         turned = mesh.rank[a] < mesh.rank[b]
         a, b = np.where(turned, b, a), np.where(turned, a, b)
-        place = 0.5 * (mesh.vertices[a] + mesh.vertices[b])
+        place = mesh.vertices[a] if to_ends else 0.5 * (mesh.vertices[a] + mesh.vertices[b])
         higher = mesh.rank[a] > mesh.rank[b]
         place[higher] = mesh.vertices[a[higher]]
-        good = _may_contract(mesh, table, chosen, place)
-        for end in (a, b):
+        # Most triangles of a fine input are small, and their normals are right.
+        limits = (STRICT_TURN, 0.0) if to_ends else (TURN, SLIVER)
+        good = _may_contract(mesh, table, chosen, place, *limits)
+        for end in (b,) if to_ends else (a, b):
             left = np.flatnonzero(~good & ~higher)
             place[left] = mesh.vertices[end[left]]
-            good[left] = _may_contract(mesh, table, chosen[left], place[left])
+            good[left] = _may_contract(mesh, table, chosen[left], place[left], *limits)
         low, high = np.minimum(a, b), np.maximum(a, b)
         refused |= set((low[~good] * count + high[~good]).tolist())
         a, b, place = a[good], b[good], place[good]
@@ -278,8 +287,11 @@ def _apart(table: EdgeTable, value: Floats, candidate: Ints, count: int) -> NDAr
     return np.asarray((around[corners] == rank[:, None]).all(axis=1))
 
 
-def _may_contract(mesh: Sized, table: EdgeTable, chosen: Ints, place: Floats) -> NDArray[np.bool_]:
-    """Whether contracting to ``place`` turns no triangle over and leaves no edge too long."""
+def _may_contract(
+    mesh: Sized, table: EdgeTable, chosen: Ints, place: Floats, turn: float, sliver: float
+) -> NDArray[np.bool_]:
+    """Whether contracting to ``place`` turns no triangle to a cosine below ``turn``, but those
+    whose area is below ``sliver`` squared target lengths, and leaves no edge too long."""
     count = len(mesh.vertices)
     a, b = table.ends[chosen].T
     owner = np.full(count, -1)
@@ -294,8 +306,8 @@ def _may_contract(mesh: Sized, table: EdgeTable, chosen: Ints, place: Floats) ->
     target = mesh.edge_target(edges).reshape(-1, 3)
     now, area = triangle_normals(mesh.vertices, triangles)
     then, _ = triangle_normals(moved, triangles)
-    turned = np.einsum("ij,ij->i", now, then) < TURN
-    turned &= area > SLIVER * target.mean(axis=1) ** 2
+    turned = np.einsum("ij,ij->i", now, then) < turn
+    turned &= area > sliver * target.mean(axis=1) ** 2
     before, after = (
         np.linalg.norm(at[triangles] - at[triangles[:, [1, 2, 0]]], axis=2)
         for at in (mesh.vertices, moved)

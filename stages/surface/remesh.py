@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..optimize.fitting import fit
 from .creases import CORNER, CREASE, FREE, Creases, cut_ears, drawn_on, embed, give_up_flat
 from .edge_table import EdgeTable, Sized
-from .embedding import kept_embedded
+from .embedding import embedded, kept_embedded
 from .geometry import limited, triangle_normals, vertex_normals
 from .operations import (
     FOLDED,
@@ -38,6 +38,8 @@ LONGEST_MOVE = 0.3
 """Of a vertex at once, in target lengths."""
 DIVISIONS = 60
 """The most rounds in which the edges of an input are halved."""
+FEW = 0.02
+"""Share of the triangles that have to vanish in a sweep for another sweep of thinning out."""
 LAST, LAST_STEP = 3, 0.2
 """The last iterations, and that share in them: creases come to rest."""
 EMBEDDED = 4
@@ -102,6 +104,17 @@ def remesh(
         drawn_on(mesh, creases)
     mesh.vertices = kept_embedded(before, mesh.vertices, mesh.triangles)
     return missed
+
+
+def thin_out(mesh: Sized, length: Length) -> None:
+    """Contract edges to one of their ends until few are much shorter than their target, so that
+    what follows takes time for the triangles that there are to be, not for those of the input."""
+    mesh.length = length(mesh.vertices)
+    count = np.inf
+    while len(mesh.triangles) < (1 - FEW) * count:
+        count = len(mesh.triangles)
+        everywhere = np.ones(len(mesh.vertices), dtype=bool)
+        embedded(lambda trial, at: contract_short(trial, where=at, to_ends=True), mesh, everywhere)
 
 
 def divide(mesh: Sized, length: Length, surface: TrueSurface) -> None:

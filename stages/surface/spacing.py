@@ -13,7 +13,7 @@ from .creases import embed
 from .edge_table import Sized
 from .geometry import sample_triangles, triangle_normals
 from .polygons import Floats, Ints
-from .remesh import EMBEDDED, divide, remesh
+from .remesh import EMBEDDED, divide, remesh, thin_out
 from .sizing import THINNEST, LengthField, evened, separation, thickness
 from .stretching import metrics
 from .thickness import thin_lengths
@@ -39,6 +39,9 @@ FLOORS = 5
 """How many least lengths between creases are tried."""
 MORE = 4000.0, 1.5
 """Triangles, and how many times the usual number, that close creases may take."""
+MANY = 2.0
+"""Triangles at first, over those that there are to be, above which edges are contracted before
+anything else."""
 SAMPLES, MOST_SAMPLES = 20_000, 400_000
 """Points at which the thickness is measured: at first, and at the most where there are to be many
 triangles."""
@@ -127,9 +130,11 @@ def spaced(
             vertices, triangles, points[:plain], field.lengths[:plain], most[:plain], spacing.most
         )
     missed, embedded = 0, EMBEDDED
+    if exact and creases is not None:
+        missed, embedded = embed(mesh, creases), NEVER
+    if len(triangles) > MANY * _counting(mesh, field)(field.lengths):
+        thin_out(mesh, field)
     if exact:
-        if creases is not None:
-            missed, embedded = embed(mesh, creases), NEVER
         divide(mesh, field, surface)
     if not spacing.varied:
         return mesh, remesh(mesh, field, surface, creases, embedded=embedded) + missed
