@@ -202,7 +202,7 @@ def test_only_what_is_too_far_is_divided(tmp_path: Path) -> None:
     after, free = further
     _, left = vertex_errors(surface, after.centres, after.triangles)
     assert left.max() < 0.8 * far.max()
-    assert free.mean() < 0.6
+    assert free.mean() < 0.65
     still = {tuple(at) for at in spheres.centres[np.abs(spheres.centres[:, 0]) < 2]}
     assert still <= {tuple(at) for at in after.centres[~free]}
     assert len(EdgeTable.of(after.triangles).ends) == 3 * len(after.triangles) // 2
