@@ -141,7 +141,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="classify",
-    version=7,
+    version=8,
     params=Params,
     run=run,
     memory=_memory,

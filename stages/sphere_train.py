@@ -292,7 +292,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=11,
+    version=12,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, edges, split_pinched, topology
+from .caps import capped
 from .mesh_file import load
 from .parity import RayParity
 from .repair_child import repaired
@@ -121,14 +122,22 @@ class TriangleSource(ABC):
 
     @cached_property
     def closed(self) -> PolygonMesh:
-        """The polygons with one vertex at every place, but for parts that touch."""
-        return self.joined if self.parted is None else self.parted[0]
+        """The polygons with one vertex at every place, parts that touch taken apart, and flat
+        openings closed."""
+        better = self.parted or self.capped
+        return self.joined if better is None else better[0]
 
     @cached_property
     def parted(self) -> tuple[PolygonMesh, int] | None:
         """The triangles where only parts that touch keep a mesh from being closed, and how many
         faces are left out."""
         return parted(self.joined) if len(bad_edges(self.joined)) else None
+
+    @cached_property
+    def capped(self) -> tuple[PolygonMesh, int] | None:
+        """The triangles of an open mesh with flat caps over its openings, and how many these are."""
+        open_otherwise = self.parted is None and len(bad_edges(self.joined))
+        return capped(self.joined) if open_otherwise else None
 
     @cached_property
     def joined(self) -> PolygonMesh:
@@ -243,7 +252,7 @@ class MeshSource(TriangleSource):
         if not thickness:
             return
         for name in (
-            "polygons", "joined", "parted", "closed", "united", "_fanned", "open_edges", "_rays",
+            "polygons", "joined", "parted", "capped", "closed", "united", "_fanned", "open_edges", "_rays",
             "winding", "sureness",
         ):  # fmt: skip
             self.__dict__.pop(name, None)
@@ -261,6 +270,7 @@ class MeshSource(TriangleSource):
             "doubled_faces": self.winding.doubled if self.open_edges else 0,
             "turned_faces": self.winding.turned if self.open_edges else 0,
             "welded_vertices": self.polygons.vertex_count - self.joined.vertex_count,
+            "capped_openings": 0 if self.capped is None else self.capped[1],
             "united_parts": 0 if self.united is None else self.united[1],
             "sureness": round(self.sureness, 4),
         }
@@ -297,6 +307,12 @@ class MeshSource(TriangleSource):
                 f"parts of the mesh touch each other: {self.parted[1]} of its "
                 f"{len(self.joined.face_offsets) - 1} faces are left out, which are there twice or "
                 "lie between two parts; edges of more than two faces are taken apart"
+            )
+        if self.capped is not None:
+            openings = self.capped[1]
+            said.append(
+                f"the mesh has {openings} opening{'s' if openings > 1 else ''} with a flat edge: "
+                "flat caps are taken to close the surface there"
             )
         if self.united is not None:
             said.append(

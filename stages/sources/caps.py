@@ -1,0 +1,128 @@
+"""Flat caps over the openings of a mesh, as at the ends of a wing or under a bust."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..surface.geometry import fan_triangles, triangle_normals
+from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.topology import OPEN, bad_edges, edge_faults
+
+FLAT = 0.1
+"""Largest distance of an opening's edge from its plane, over the opening's extent."""
+SHARE = 0.3
+"""Largest area of the caps, over that of the mesh: with larger ones it is a sheet or a bowl."""
+LEVEL, FACING = 1e-3, 1e-3
+"""Within what distance, over the extent, and one less what cosine two openings are in a plane."""
+EXACT = 1e-6
+"""Relative error of the area of a triangulated opening."""
+
+
+def capped(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
+    """The triangles of ``mesh`` with flat caps over all of its openings, and how many these are.
+
+    None where edges are bad otherwise, an opening is not flat or touches another, the caps would
+    be large beside the mesh, or would cross it.
+    """
+    vertices, triangles = fan_triangles(mesh)[:2]
+    loops = _openings(PolygonMesh.of_triangles(vertices, triangles))
+    if not loops:
+        return None
+    caps = _caps(vertices, loops)
+    if caps is None:
+        return None
+    own, added = (triangle_normals(vertices, part)[1].sum() for part in (triangles, caps))
+    if added > SHARE * own:
+        return None
+    closed = np.concatenate([triangles, caps])
+    result = PolygonMesh.of_triangles(vertices, closed)
+    if len(bad_edges(result)):
+        return None
+    from ..metrics.intersections import self_intersections  # what it compiles with is large
+
+    if (self_intersections(vertices, closed) >= len(triangles)).any():
+        return None
+    return result, len(loops)
+
+
+def _openings(mesh: PolygonMesh) -> list[Ints]:
+    """The vertices around each opening, the way that a face which closes it goes; none at all where
+    an edge is bad otherwise or two openings share a vertex."""
+    if (edge_faults(mesh)[1] > OPEN).any():
+        return []
+    start, end = mesh.face_vertices, mesh.next_vertices
+    span = mesh.vertex_count
+    alone = ~np.isin(start * span + end, end * span + start)
+    after = np.full(span, -1)
+    after[end[alone]] = start[alone]
+    if len(np.unique(end[alone])) < alone.sum():
+        return []
+    left = after >= 0
+    loops = []
+    for first in np.flatnonzero(left):
+        if not left[first]:
+            continue
+        loop = [int(first)]
+        while after[loop[-1]] != first:
+            loop.append(int(after[loop[-1]]))
+        left[loop] = False
+        loops.append(np.array(loop))
+    return loops
+
+
+def _caps(vertices: Floats, loops: list[Ints]) -> Ints | None:
+    """Triangles that close the ``loops``; those in one plane are closed together, since one may be
+    the inner edge of another's ring."""
+    centre = np.array([vertices[loop].mean(axis=0) for loop in loops])
+    area = np.array([_area(vertices[loop]) for loop in loops])
+    size = np.linalg.norm(area, axis=1)
+    extent = np.array([np.ptp(vertices[loop], axis=0).max() for loop in loops])
+    if (size <= EXACT * extent**2).any():
+        return None
+    normal = area / size[:, None]
+    left, found = np.ones(len(loops), dtype=bool), []
+    for number in np.argsort(-size, kind="stable"):
+        if not left[number]:
+            continue
+        height = np.abs((centre - centre[number]) @ normal[number])
+        level = (height < LEVEL * extent[number]) & (np.abs(normal @ normal[number]) > 1 - FACING)
+        group = [number, *np.flatnonzero(level & left & (np.arange(len(loops)) != number))]
+        cap = _triangulated(vertices, [loops[k] for k in group], normal[number])
+        if cap is None:
+            group = [number]
+            cap = _triangulated(vertices, [loops[number]], normal[number])
+        if cap is None:
+            return None
+        left[group] = False
+        found.append(cap)
+    return np.concatenate(found)
+
+
+def _area(ring: Floats) -> Floats:
+    """The vector area of a closed polygon ``(N, 3)``."""
+    at = ring - ring.mean(axis=0)
+    return np.asarray(0.5 * np.cross(at, np.roll(at, -1, axis=0)).sum(axis=0))
+
+
+def _triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | None:
+    """Triangles of the region within ``loops``, seen along ``normal (3,)``; None where they are not
+    flat or have no inside."""
+    from manifold3d import triangulate
+
+    corners = np.concatenate(loops)
+    at = vertices[corners] - vertices[loops[0]].mean(axis=0)
+    if np.abs(at @ normal).max() > FLAT * np.ptp(vertices[loops[0]], axis=0).max():
+        return None
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    across /= np.linalg.norm(across)
+    plane = np.stack([at @ across, at @ np.cross(normal, across)], axis=1)
+    rings = np.split(plane, np.cumsum([len(loop) for loop in loops])[:-1])
+    found = np.asarray(triangulate([np.ascontiguousarray(ring) for ring in rings]), np.int64)
+    if len(found) == 0:
+        return None
+    a, b, c = (plane[found[:, k]] for k in range(3))
+    areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    wanted = sum(_area(vertices[loop]) @ normal for loop in loops)
+    if (areas <= 0).any() or abs(areas.sum() - wanted) > EXACT * wanted:
+        return None
+    return np.asarray(corners[found])
