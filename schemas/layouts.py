@@ -70,6 +70,9 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "source/missed": Layout(
             (), "f", "share of the points off the surface", optional=True, undefined=True
         ),
+        "source/columns": Layout(
+            ("K",), "i", "columns of a text that hold the points, from 1 on", optional=True
+        ),
         "source/agreement": Layout(
             ("W",), "f", "of views: intersection over union of mask and surface", optional=True
         ),

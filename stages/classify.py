@@ -31,6 +31,9 @@ class Params(contract.Params):
     """Voxels along the longest side of the shape: the resolution of everything that follows."""
     noise: Positive | None = None
     """Standard deviation of a point cloud's noise, in the input's units; estimated by default."""
+    columns: str | None = None
+    """Of a text of points: which columns are x, y and z, and maybe the normal, by name or by number
+    from 1 on, as in 2,3,4. By default those of these names, else the first."""
     mask_votes: Annotated[int, Range(0, 100)] = 0
     """Of views: how many masks may leave out what is inside, anywhere."""
     repair: bool = False
@@ -56,8 +59,11 @@ def run(context: Context) -> Outcome:
     params = context.params
     if isinstance(source, PointSource):
         source.given_noise, source.threads = params.noise, context.threads
+        source.columns = params.columns
     elif params.noise is not None:
         raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
+    elif params.columns is not None:
+        raise UsageError(f"--columns: the input is a {source.kind}; only points have columns")
     if source.kind == "views":
         _fit(cast("ViewSource", source), context)
     elif params.mask_votes:
@@ -133,6 +139,7 @@ def _memory(context: Context) -> float:
     source = context.source()
     voxels = peak(290.0, 290.0, 0.25, float(context.params.n_init) ** 3)
     if isinstance(source, PointSource):
+        source.columns = context.params.columns
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
     if source.kind == "views":
         return voxels + 450.0 + 2e-5 * cast("ViewSource", source).views.masks.size

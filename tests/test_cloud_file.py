@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
-from conftest import fibonacci
+from conftest import Cli, fibonacci
 
 from vorolight.stages.errors import InputError
 from vorolight.stages.sources import cloud_file
@@ -86,6 +87,98 @@ def test_large_clouds_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert (len(found.points), found.thinned) == (500, 300)
 
 
+def lines(head: str, row: str, joined: str = "\n") -> str:
+    """A text with a row for each of 200 points of a sphere of radius 20 about (10, 20, 30)."""
+    points = fibonacci(200, 20.0) + [10, 20, 30]
+    rows = [row.format(x=x, y=y, z=z, k=k) for k, (x, y, z) in enumerate(points)]
+    return joined.join([*([head] if head else []), *rows]) + joined
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        (lines(",x,y,z", "{k},{x:.6f},{y:.6f},{z:.6f}"), ""),
+        (lines("id;X [m];Y [m];Z [m]", "{k};{x:.6f};{y:.6f};{z:.6f}"), ""),
+        (lines("# t z y x", "{k} {z:.6f} {y:.6f} {x:.6f}"), ""),
+        (lines("//X Y Z Intensity", "{x:.6f} {y:.6f} {z:.6f} 7"), ""),
+        (lines('"Points:0","Points:1","Points:2","f"', "{x:.6f},{y:.6f},{z:.6f},1.5"), ""),
+        (lines("", '"{x:.6f}","{y:.6f}","{z:.6f}"'), ""),
+        (lines("class,x,y,z", "low vegetation,{x:.6f},{y:.6f},{z:.6f}"), ""),
+        (lines("", "{x:.6f}\t{y:.6f}\t{z:.6f}\tground"), ""),
+        (lines("200", "{x:.6f} {y:.6f} {z:.6f} 120 9 8 7"), "columns 1, 2 and 3 of 7 are taken"),
+        (lines("", "{x:.6f} {y:.6f} {z:.6f}", "\r\n"), ""),
+        # Rows of three and of four numbers.
+        (lines("", "{x:.6f} {y:.6f} {z:.6f}") + "10 20 50 1\n", ""),
+    ],
+)
+def test_columns_are_found(text: str, note: str, tmp_path: Path) -> None:
+    points = fibonacci(200, 20.0) + [10, 20, 30]
+    path = tmp_path / "a.csv"
+    for coding in ("utf-8", "utf-8-sig", "utf-16"):
+        path.write_bytes(text.encode(coding))
+        found = cloud_file.load(path)
+        assert np.allclose(found.points[:200], points, atol=1e-6)
+        assert note in found.note
+        assert bool(note) == bool(found.note)
+
+
+@pytest.mark.parametrize("mark", [";", "\t", " "])
+def test_decimal_commas(mark: str, tmp_path: Path) -> None:
+    text = lines(f"X{mark}Y{mark}Z", mark.join(["{x:.6f}", "{y:.6f}", "{z:.6f}"]))
+    (tmp_path / "a.csv").write_text(text.replace(".", ","))
+    found = cloud_file.load(tmp_path / "a.csv")
+    assert np.allclose(found.points, fibonacci(200, 20.0) + [10, 20, 30], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (lines("", "{k},{x:.6f},{y:.6f},{z:.6f}"), "column 1 only counts the rows"),
+        (lines("", "16e8 {x:.6f} {y:.6f} {z:.6f}"), "column 1 are more than 1000 times"),
+        (lines("a,b,c,d", "{x:.6f},{y:.6f},{z:.6f},1"), "called a, b, c, d; say which"),
+    ],
+)
+def test_columns_that_are_no_coordinates_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        cloud_file.load(tmp_path / "a.csv")
+
+
+def test_columns_that_are_asked_for(tmp_path: Path, cli: Cli) -> None:
+    points = fibonacci(200, 20.0) + [10, 20, 30]
+    (tmp_path / "a.csv").write_text(lines("", "{k},{y:.6f},{x:.6f},{z:.6f}"))
+    found = cloud_file.load(tmp_path / "a.csv", "3,2,4")
+    assert np.allclose(found.points, points, atol=1e-6)
+    assert found.note == ""
+    assert found.columns == (3, 2, 4)
+    (tmp_path / "b.csv").write_text(lines("t,east,north,up", "{k},{x:.6f},{y:.6f},{z:.6f}"))
+    found = cloud_file.load(tmp_path / "b.csv", "east, North,up")
+    assert np.allclose(found.points, points, atol=1e-6)
+    for columns, said in (
+        ("1,2", "name three columns"),
+        ("1,2,9", "it has no column 9, but 4 columns: t, east"),
+    ):
+        with pytest.raises(InputError, match=said):
+            cloud_file.load(tmp_path / "b.csv", columns)
+    np.save(tmp_path / "a.npy", points)
+    with pytest.raises(InputError, match="--columns is of text files"):
+        cloud_file.load(tmp_path / "a.npy", "1,2,3")
+    done = cli("classify", "sphere", "-n", 6, "--columns", "1,2,3", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "only points have columns" in done.stderr
+    done = cli("init", "a.csv", "-n", 6, "--iterations", 1, cwd=tmp_path)
+    assert done.returncode == 3
+    assert "a.csv: not a readable point cloud (its column 1 only counts the rows" in done.stderr
+    done = cli("classify", "a.csv", "-n", 6, "--columns", "3,2,4", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    # The later stages read the same columns, and so does the report.
+    done = cli("init", "--iterations", 1, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = cli("report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "left out" not in (tmp_path / "a.vorolight" / "report.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -93,7 +186,8 @@ def test_large_clouds_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ("a.xyz", b"hello\nworld\n", "no row of three numbers"),
         ("a.xyz", b"0 0 0\n1 0 0\n0 1 0\n", "3 different points"),
         ("a.xyz", b"1 2 3\n" * 500, "1 different points"),
-        ("a.xyz", b"0 0 0\n1 0 0 0 0\n" * 100, "not a readable point cloud"),
+        ("a.xyz", b"0 0 0\n1 0 0 0 0\n" * 100, "2 different points"),
+        ("a.xyz", b"0 0 1\n" * 300 + b"1 0 end\n", "line 301 has no numbers in columns 1, 2, 3"),
         ("a.csv", b"1,2\n" * 300, "no row of three numbers"),
         ("a.pts", b"\x00\x01\x02" * 300, "no text"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\n"
@@ -104,7 +198,7 @@ def test_bad_clouds(tmp_path: Path, name: str, content: bytes, said: str) -> Non
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=said) as error:
-        identify(str(path)).open()
+        _ = cast(PointSource, identify(str(path)).open()).cloud
     assert str(path) in str(error.value)
 
 
@@ -112,4 +206,4 @@ def test_flat_clouds_are_refused(tmp_path: Path) -> None:
     points = np.random.default_rng(0).random((500, 2)) @ np.array([[1.0, 2, 3], [3, 1, -2]])
     np.save(tmp_path / "a.npy", points + 7)
     with pytest.raises(InputError, match="one plane"):
-        PointSource(tmp_path / "a.npy")
+        _ = PointSource(tmp_path / "a.npy").cloud

@@ -215,7 +215,7 @@ def test_fits_of_a_sphere_bend_as_it_does() -> None:
 def test_points_without_an_inside_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", points=np.random.default_rng(0).random((150, 2)))
     with pytest.raises(InputError, match="rows of x, y, z"):
-        PointSource(tmp_path / "a.npz")
+        _ = PointSource(tmp_path / "a.npz").cloud
 
 
 def test_what_classify_stored_is_restored(tmp_path: Path) -> None:

@@ -102,7 +102,8 @@ def _inputs(
         if entry["kind"] == "mesh":
             yield _mesh(_same(folder, entry))
         elif entry["kind"] == "points":
-            yield _cloud(_same(folder, entry))
+            columns = ",".join(map(str, grid["source/columns"])) or None
+            yield _cloud(_same(folder, entry), columns)
         elif entry["kind"] == "field":
             left_out.append("The input is a field, which has no faces to draw.")
     except InputError as error:
@@ -129,10 +130,10 @@ def _mesh(path: Path) -> Shape:
     return _fewer(Shape("input", "Input", "input", load(path).polygons, colour=INPUT))
 
 
-def _cloud(path: Path) -> Shape:
+def _cloud(path: Path, columns: str | None) -> Shape:
     from ..sources.cloud_file import load
 
-    points = load(path).points
+    points = load(path, columns).points
     shown = thinned(points, POINTS)
     note = (
         "" if len(shown) == len(points) else f"{len(shown):,} of {len(points):,} points are drawn."

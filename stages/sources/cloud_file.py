@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..export import ply
 from ..surface.polygons import Floats
+from . import text_table
 from .arrays_file import named_arrays, single_array
+from .text_table import Table
 
 TEXT = (".xyz", ".xyzn", ".pts", ".asc", ".csv", ".txt")
 FEWEST, MOST = 100, 2_000_000
 """Points that a surface can be made of; of more, so many are taken."""
 FLAT = 1e-5
 """Extent across the plane of the points, over the largest, below which they are flat."""
-UNIT = 0.05
-"""How far from 1 the length of a normal may be, if a text file does not say that it is one."""
 EXPE = b"[Expe/PointSet/Binary/0.1]"
 
 
@@ -34,10 +34,14 @@ class LoadedCloud:
     doubled: int
     thinned: int
     """Points left out at random because there were more than MOST."""
+    note: str
+    """What is to be said of the columns that were taken, if anything."""
+    columns: tuple[int, ...]
+    """Of a text: those that were taken, counted from 1 on."""
 
 
-def load(path: Path) -> LoadedCloud:
-    """The cloud in ``path``.
+def load(path: Path, columns: str | None = None) -> LoadedCloud:
+    """The cloud in ``path``; ``columns`` says which those of a text are, as --columns does.
 
     Raises InputError for files that are missing, empty or no cloud, for too few points and for
     points of one plane.
@@ -46,12 +50,13 @@ def load(path: Path) -> LoadedCloud:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty; export the points again")
         with np.errstate(all="ignore"):  # what is no number is found below
-            points, normals = _read(path)
+            table = _read(path, columns)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
     except (ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: not a readable point cloud ({reason[:120]})") from error
+    points, normals = table.points, table.normals
     count = len(points)
     # The squares of what is larger are not finite.
     finite = (np.abs(np.nan_to_num(points, nan=np.inf)) < 1e150).all(axis=1)
@@ -72,11 +77,17 @@ def load(path: Path) -> LoadedCloud:
         raise InputError(f"{path}: the points lie in one plane and enclose nothing")
     if normals is not None:
         normals = np.nan_to_num(normals[kept], posinf=0.0, neginf=0.0)
-    return LoadedCloud(points, normals, count - int(finite.sum()), doubled, thinned)
+    left_out = count - int(finite.sum())
+    return LoadedCloud(points, normals, left_out, doubled, thinned, table.note, table.columns)
 
 
-def _read(path: Path) -> tuple[Floats, Floats | None]:
+def _read(path: Path, columns: str | None) -> Table:
     suffix = path.suffix.lower()
+    if suffix in TEXT:
+        raw = path.read_bytes()
+        return Table(*_expe(raw)) if raw.startswith(EXPE) else text_table.read(raw, columns)
+    if columns is not None:
+        raise ValueError(f"--columns is of text files ({', '.join(TEXT)})")
     if suffix == ".npz":
         arrays = named_arrays(path)
         if "points" not in arrays:
@@ -86,14 +97,12 @@ def _read(path: Path) -> tuple[Floats, Floats | None]:
         return _split(_numbers(single_array(path)), None)
     raw = path.read_bytes()
     if suffix == ".ply":
-        return ply.decode_points(raw)
+        return Table(*ply.decode_points(raw))
     if raw.startswith(EXPE):
-        return _expe(raw)
-    if suffix in TEXT:
-        return _split(_text(raw), None)
+        return Table(*_expe(raw))
     from .mesh_file import vertices_of
 
-    return vertices_of(path), None
+    return Table(vertices_of(path), None)
 
 
 def _numbers(values: NDArray[Any]) -> Floats:
@@ -102,7 +111,7 @@ def _numbers(values: NDArray[Any]) -> Floats:
     return np.asarray(values, dtype=np.float64)
 
 
-def _split(table: Floats, normals: Any) -> tuple[Floats, Floats | None]:
+def _split(table: Floats, normals: Any) -> Table:
     """Points, and normals if the rows of ``table (N, >= 3)`` have unit vectors after them."""
     if table.ndim != 2 or table.shape[1] < 3:
         raise ValueError(f"it holds numbers of shape {table.shape}, not rows of x, y, z")
@@ -110,38 +119,9 @@ def _split(table: Floats, normals: Any) -> tuple[Floats, Floats | None]:
         normals = _numbers(normals)
         if normals.shape != (len(table), 3):
             raise ValueError(f"'normals' has shape {normals.shape}, not that of the points")
-    elif table.shape[1] == 6:
-        # Six columns are as often colours.
-        length = np.linalg.norm(table[:, 3:], axis=1)
-        if len(length) and (np.abs(length - 1) < UNIT).mean() > 0.9:
-            normals = table[:, 3:]
-    return table[:, :3], normals
-
-
-def _text(raw: bytes) -> Floats:
-    """Rows of numbers, apart by blanks, commas or semicolons; words and a count may come first."""
-    if b"\0" in raw:
-        raise ValueError("it is no text")
-    lines = raw.translate(bytes.maketrans(b",;\t", b"   ")).splitlines()
-    rows = [
-        line
-        for line in (line.partition(b"#")[0].partition(b"//")[0].strip() for line in lines)
-        if line
-    ]
-    while rows and not _is_row(rows[0]):
-        rows.pop(0)
-    if not rows:
-        raise ValueError("it has no row of three numbers")
-    return np.loadtxt(rows, dtype=np.float64, ndmin=2, comments=None)
-
-
-def _is_row(line: bytes) -> bool:
-    words = line.split()
-    try:
-        [float(word) for word in words]
-    except ValueError:
-        return False
-    return len(words) >= 3
+    elif table.shape[1] == 6 and text_table.are_normals(table[:, 3:]):
+        normals = table[:, 3:]
+    return Table(table[:, :3], normals)
 
 
 def _expe(raw: bytes) -> tuple[Floats, Floats | None]:

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..surface.polygons import Floats, PolygonMesh
 from ..surface.topology import topology
-from .cloud_file import MOST, load
+from .cloud_file import MOST, LoadedCloud, load
 from .mesh import TriangleSource
 from .reconstruction import AGREE, Reconstruction, reconstruct
 
@@ -27,9 +27,14 @@ class PointSource(TriangleSource):
 
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, path.stem
-        self.cloud = load(path)
+        self.columns: str | None = None
         self.given_noise: float | None = None
         self.threads = 1
+
+    @cached_property
+    def cloud(self) -> LoadedCloud:
+        """Raises InputError for a file that holds none."""
+        return load(self.path, self.columns)
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
@@ -64,6 +69,7 @@ class PointSource(TriangleSource):
                 np.nan if found.agreement is None else found.agreement
             ),
             "source/missed": np.array(found.missed),
+            "source/columns": np.array(self.cloud.columns, np.int64),
         }
 
     def restore(self, stored: Mapping[str, Any]) -> None:
@@ -78,6 +84,7 @@ class PointSource(TriangleSource):
             None if np.isnan(agreement) else agreement,
             float(stored["source/missed"]),
         )
+        self.columns = ",".join(map(str, stored["source/columns"])) or None
 
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         """``count`` of the points that do not lie out, all of them if there are fewer."""
@@ -109,7 +116,8 @@ class PointSource(TriangleSource):
     def warnings(self) -> list[str]:
         found, cloud = self.reconstruction, self.cloud
         out = int((~found.kept).sum())
-        said = [
+        said = [cloud.note] if cloud.note else []
+        said += [
             f"{count} points {what}"
             for count, what in (
                 (cloud.not_finite, "have coordinates that are not finite; they are left out"),
