@@ -73,6 +73,7 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "source/columns": Layout(
             ("K",), "i", "columns of a text that hold the points, from 1 on", optional=True
         ),
+        "source/level": Layout((), "f", "of samples: what is above it is inside", optional=True),
         "source/agreement": Layout(
             ("W",), "f", "of views: intersection over union of mask and surface", optional=True
         ),

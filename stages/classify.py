@@ -34,6 +34,9 @@ class Params(contract.Params):
     columns: str | None = None
     """Of a text of points: which columns are x, y and z, and maybe the normal, by name or by number
     from 1 on, as in 2,3,4. By default those of these names, else the first."""
+    level: float | None = None
+    """Of samples on a grid: what is above this value is inside, as of a CT scan. By default what is
+    negative is inside, of labels what is not zero."""
     mask_votes: Annotated[int, Range(0, 100)] = 0
     """Of views: how many masks may leave out what is inside, anywhere."""
     repair: bool = False
@@ -51,6 +54,7 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .sources import voxels
+    from .sources.fields import FieldSource
     from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
     from .sources.thin import thin_parts
@@ -64,6 +68,10 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
     elif params.columns is not None:
         raise UsageError(f"--columns: the input is a {source.kind}; only points have columns")
+    if isinstance(source, FieldSource) and source.path is not None:
+        source.above = params.level
+    elif params.level is not None:
+        raise UsageError(f"--level: the input is a {source.kind}; only samples on a grid have one")
     if source.kind == "views":
         _fit(cast("ViewSource", source), context)
     elif params.mask_votes:

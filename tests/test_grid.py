@@ -72,8 +72,8 @@ def test_files_that_hold_no_field(tmp_path: Path) -> None:
     for name, array, words in (
         ("flat", np.ones((5, 5)), "three dimensions"),
         ("thin", np.ones((5, 5, 3)), "three dimensions"),
-        ("positive", np.ones((5, 5, 5)), "no sample is negative"),
-        ("cut", -inside, "negative at the border"),
+        ("positive", np.ones((5, 5, 5)), "from 1 to 1: none is negative"),
+        ("cut", -inside * np.arange(7.0, 13), "negative at the border"),
         ("nan", np.where(inside < 0, np.nan, inside), "8 samples are not finite"),
         ("text", np.full((5, 5, 5), "a"), "not numbers"),
         ("objects", np.full((5, 5, 5), None), "not a readable array"),
@@ -96,6 +96,85 @@ def test_files_that_hold_no_field(tmp_path: Path) -> None:
     refused(tmp_path / "part.npy", "not a readable array")
     (tmp_path / "part.npz").write_bytes(b"PK" + whole)
     refused(tmp_path / "part.npz", "not a readable array")
+
+
+def ball(count: int = 41, edge: float = 1.2) -> tuple[np.ndarray, float]:
+    """Distances from the middle of a cube at samples within it, and their spacing."""
+    at = np.linspace(-edge, edge, count)
+    x, y, z = np.meshgrid(at, at, at, indexing="ij")
+    return np.sqrt(x**2 + y**2 + z**2), at[1] - at[0]
+
+
+def test_inside_is_above_a_level(tmp_path: Path, cli: Cli) -> None:
+    radius, step = ball()
+    # As of a CT scan: air is 0, and what is dense is more than that.
+    values = np.clip(3000 * (1.5 - 1.5 * radius), 0, 3000).astype(np.int16)
+    np.savez(tmp_path / "ct.npz", values=values, spacing=step)
+    refused(tmp_path / "ct.npz", "from 0 to 3000: none is negative.*--level 1.5e")
+    with pytest.raises(InputError, match="none of them is above --level 3000"):
+        load(tmp_path / "ct.npz", 3000.0)
+    for level in (450.0, 1500.0):
+        source = FieldSource("ct", path=tmp_path / "ct.npz", above=level)
+        assert source.warnings() == []
+        at = source.surface_samples(2000, np.random.default_rng(0)) - 1.2
+        assert np.allclose(np.linalg.norm(at, axis=1), 1 - level / 4500, atol=0.05 * step)
+    words = ["-n", 8, "--level", 450, "--until", "evaluate", *QUICK]
+    done = cli("run", "ct.npz", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "ct.vorolight" / "evaluate-sphere-train.json").read_text())
+    assert found["metrics"]["volume"] == pytest.approx(4 / 3 * np.pi * 0.9**3, rel=0.03)
+    done = cli("classify", "sphere", "-n", 6, "--level", 1, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "only samples on a grid have one" in done.stderr
+
+
+def test_a_body_cut_off_by_the_grid_is_closed_and_said(tmp_path: Path) -> None:
+    radius, step = ball(31, 0.7)
+    np.savez(tmp_path / "cut.npz", values=1 - radius, origin=-0.7, spacing=step)
+    with pytest.raises(InputError):
+        load(tmp_path / "cut.npz")
+    np.savez(tmp_path / "cut.npz", values=1 - radius, origin=[-0.7] * 3, spacing=step)
+    refused(tmp_path / "cut.npz", "negative at the border")
+    source = FieldSource("cut", path=tmp_path / "cut.npz", above=0.0)
+    assert "cut off and closed" in source.warnings()[0]
+    at = np.array([[0, 0, 0.7 + 0.2 * step], [0, 0, 0.7 + 0.8 * step], [0.65, 0.65, 0.65]])
+    assert source.inside(at).tolist() == [True, False, False]
+    assert (source.value(np.array([[0, 0, 0.7 + k * step] for k in range(1, 9)])) > 0).all()
+
+
+def test_air_around_a_body_is_not_taken_for_it_in_silence(tmp_path: Path) -> None:
+    radius, _ = ball()
+    # Air is negative, as in Hounsfield units, and a layer of positive samples was added.
+    np.save(tmp_path / "air.npy", np.pad(1000 * (1 - 2 * radius), 1, constant_values=5.0))
+    assert "as the air around a body does" in FieldSource("a", path=tmp_path / "air.npy").warnings()[0]
+
+
+@pytest.mark.parametrize("values", [(0, 1), (0, 255), (1, -1), (0, 7)])
+def test_labels_become_a_smooth_surface(values: tuple[int, int], tmp_path: Path) -> None:
+    radius, step = ball()
+    labels = np.where(radius < 0.9, values[1], values[0]).astype(np.int16)
+    if values == (0, 7):
+        labels[(radius < 0.9) & (np.arange(41) > 20)] = 3
+    path = tmp_path / "labels.npz"
+    np.savez(path, values=labels, origin=[-1.2] * 3, spacing=step)
+    source = FieldSource("labels", path=path)
+    assert "the samples are labels" in source.warnings()[0]
+    at = source.surface_samples(4000, np.random.default_rng(0))
+    away = np.linalg.norm(at, axis=1)
+    # Steps would be off by half a sample, and their normals by half a right angle.
+    assert np.abs(away - 0.9).max() < 0.6 * step
+    assert np.abs(away - 0.9).mean() < 0.2 * step
+    assert abs(away.mean() - 0.9) < 0.05 * step
+    _, slope = source.gradient(at)
+    cosine = np.einsum("ij,ij->i", slope, at) / np.linalg.norm(slope, axis=1) / away
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 5
+    # Every sample stays where it was, also in a wall of one sample.
+    wall = np.zeros((20, 20, 20), np.uint8)
+    wall[4:16, 4:16, 9] = 1
+    np.save(tmp_path / "wall.npy", wall)
+    thin = FieldSource("wall", path=tmp_path / "wall.npy")
+    place = np.argwhere(np.ones(wall.shape, dtype=bool)).astype(float)
+    assert (thin.inside(place) == wall.ravel().astype(bool)).all()
 
 
 def test_a_run_of_samples(tmp_path: Path, cli: Cli) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -78,7 +79,7 @@ FIELDS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class FieldSource:
     """A built-in field, the formula or function that is its name, or the samples in a file."""
 
@@ -86,13 +87,15 @@ class FieldSource:
     kind: str = "field"
     path: Path | None = None
     allow_code: bool = False
+    above: float | None = None
+    """Of samples: what is above this value is inside; None: what is negative."""
 
     @cached_property
     def field(self) -> Field:
         """Raises InputError for a formula that is not allowed or has no bounded inside, and for a
         file that holds no field, UsageError for code that is not allowed."""
         if self.path is not None:
-            sampled = load(self.path)
+            sampled = load(self.path, self.above)
             radius = 0.5 * float(np.linalg.norm(sampled.box[1] - sampled.box[0]))
             return Field(sampled, sampled.box, radius)
         if self.name in FIELDS:
@@ -195,7 +198,13 @@ class FieldSource:
         return {"kind": self.kind, "name": self.name}
 
     def state(self) -> dict[str, Any]:
-        return {}
+        return {} if self.above is None else {"source/level": np.array(self.above)}
+
+    def restore(self, stored: Mapping[str, Any]) -> None:
+        """Take what ``state`` was, of the same field."""
+        if "source/level" in stored:
+            self.above = float(stored["source/level"])
 
     def warnings(self) -> list[str]:
-        return []
+        formula = self.field.formula
+        return list(formula.notes) if isinstance(formula, SampledField) else []

@@ -8,11 +8,20 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..surface.polygons import Floats
 from .grid_file import read
 
+LABELS = 16
+"""Samples of no more values than this are labels, not a field."""
+SMOOTHINGS, SMOOTHING = 4, 0.8
+"""How often the distances of labels are smoothed, and the Gaussian's width in the least spacing."""
+LEAST = 0.05
+"""The least distance of a sample of a label from the surface, in the least spacing."""
+FILLED = 0.9
+"""Share of a side of the grid from which on the inside fills it."""
 
 @dataclass(frozen=True)
 class SampledField:
@@ -22,6 +31,8 @@ class SampledField:
     coefficients: Floats
     origin: Floats
     spacing: Floats
+    notes: tuple[str, ...] = ()
+    """What is to be said of how they were understood."""
 
     @property
     def box(self) -> Floats:
@@ -84,12 +95,13 @@ def _mirrored(index: Any, size: int, xp: ModuleType) -> Any:
     return xp.where(index > size - 1, 2 * (size - 1) - index, index)
 
 
-def load(path: Path) -> SampledField:
+def load(path: Path, above: float | None = None) -> SampledField:
     """The samples in ``path``: an array of three dimensions in a .npy file (origin 0, spacing 1),
     ``values``, ``origin (3,)`` and ``spacing`` (one or three) in a .npz file, NRRD or VTI.
 
-    Raises InputError for anything else, for samples that are not finite, nowhere negative, or
-    negative at the border.
+    Inside is what is negative, or with ``above`` what is more than that; of samples of two values,
+    one of which is zero, the other one. Raises InputError for anything else, for samples that are
+    not finite or have no inside, and, without ``above``, where that reaches the border.
     """
     from scipy.ndimage import spline_filter
 
@@ -105,12 +117,72 @@ def load(path: Path) -> SampledField:
         raise InputError(
             f"{path}: {int((~np.isfinite(values)).sum())} samples are not finite; fill them in"
         )
+    low, high = float(values.min()), float(values.max())
+    spread = f"its values go from {low:g} to {high:g}"
+    label = _few(values)
+    if above is None and label and low == 0.0:
+        above = 0.0
+    if above is not None:
+        if not low <= above < high:
+            raise InputError(f"{path}: {spread}, so none of them is above --level {above:g}")
+        values = above - values
+    middle = f"--level {0.5 * (low + high):.3g} takes what is above that value as the inside"
     if not (values < 0).any():
-        raise InputError(f"{path}: no sample is negative, so nothing is inside; negate the field?")
-    inner = values[1:-1, 1:-1, 1:-1]
-    if (values < 0).sum() != (inner < 0).sum():
-        raise InputError(
-            f"{path}: the field is negative at the border of its grid, where the inside would be "
-            "cut off; add a layer of positive samples"
+        raise InputError(f"{path}: {spread}: none is negative, so nothing is inside; {middle}")
+    notes, origin = [], found.origin
+    if (values < 0).sum() != (values[1:-1, 1:-1, 1:-1] < 0).sum():
+        if above is None:
+            raise InputError(
+                f"{path}: {spread}, and they are negative at the border of the grid, where the "
+                f"inside would be cut off; {middle}, or add a layer of positive samples"
+            )
+        notes.append("the inside reaches the border of the grid: it is cut off and closed there")
+        # Half a spacing beyond the border, and still growing behind that.
+        for factor in (1.0, 3.0):
+            inner = values.shape
+            values, origin = np.pad(values, 1, mode="edge"), origin - found.spacing
+            beyond = np.pad(np.zeros(inner, dtype=bool), 1, constant_values=True)
+            values[beyond] = factor * np.abs(values[beyond])
+    elif _fills(values[1:-1, 1:-1, 1:-1] < 0):
+        notes.append(
+            "the inside fills the grid up to its border, as the air around a body does; if what is "
+            f"above a value is the inside, {middle}"
         )
-    return SampledField(spline_filter(values, order=3, mode="mirror"), found.origin, found.spacing)
+    if label:
+        notes.append("the samples are labels: a smooth surface between them stands for the shape")
+        values = _smooth(values < 0, found.spacing)
+    coefficients = spline_filter(values, order=3, mode="mirror")
+    return SampledField(coefficients, origin, found.spacing, tuple(notes))
+
+
+def _few(values: Floats) -> bool:
+    """Whether there are so few different values that they are labels."""
+    at = values.ravel()
+    # Most fields tell by their first samples, so not all of them have to be sorted.
+    return all(
+        len(np.unique(part)) <= LABELS for part in (at[: 100 * LABELS], at[:: len(at) // 10_000 + 1])
+    ) and len(np.unique(at)) <= LABELS
+
+
+def _fills(inside: NDArray[np.bool_]) -> bool:
+    """Whether ``inside (A, B, C)`` covers most of all six sides."""
+    sides = [np.take(inside, end, axis) for axis in range(3) for end in (0, -1)]
+    return all(side.mean() > FILLED for side in sides)
+
+
+def _smooth(inside: NDArray[np.bool_], spacing: Floats) -> Floats:
+    """A field that is negative at the samples ``inside`` and nowhere else, and smooth between them:
+    their distance to the other ones, smoothed by turns and put back to its sign (as in Gibson 1998).
+    """
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+    unit = spacing / spacing.min()
+    away, within = (distance_transform_edt(part, sampling=unit) for part in (~inside, inside))
+    least = np.where(inside, -LEAST, LEAST)
+    values = np.where(inside, 0.5 - within, away - 0.5)
+    for _ in range(SMOOTHINGS):
+        # Smoothed once would shrink what is round; the difference of a second time puts that back.
+        once = gaussian_filter(values, SMOOTHING / unit, mode="nearest")
+        values = 2 * once - gaussian_filter(once, SMOOTHING / unit, mode="nearest")
+        values = np.where(inside, np.minimum(values, least), np.maximum(values, least))
+    return np.asarray(values * spacing.min())

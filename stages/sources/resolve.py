@@ -59,15 +59,16 @@ class Identity:
         from .mesh import MeshSource
         from .points import PointSource
 
+        source: FieldSource | MeshSource | PointSource | ViewSource
         if self.kind == "field":
-            return FieldSource(self.name, path=self.path, allow_code=self.allow_code)
-        assert self.path is not None
-        source: MeshSource | PointSource | ViewSource
-        if self.kind == "views":
+            source = FieldSource(self.name, path=self.path, allow_code=self.allow_code)
+        elif self.kind == "views":
             from .images import ViewSource
 
+            assert self.path is not None
             source = ViewSource(self.path)
         else:
+            assert self.path is not None
             source = MeshSource(self.path) if self.kind == "mesh" else PointSource(self.path)
         if stored is not None:
             source.restore(stored)
