@@ -12,7 +12,7 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from . import contract
 from .contract import Context, Outcome, Positive, Range, Short, Stage
@@ -44,6 +44,9 @@ class Params(contract.Params):
     weld: Positive | None = None
     """Distance, in the input's units, within which vertices of a mesh's open edges are one; 0: only
     those at the same place. By default as near as single precision tells them apart."""
+    shells: Literal["union", "alternate"] = "union"
+    """Of closed parts of a mesh within each other that all face outward: union takes them as one
+    solid, alternate each second one as a hollow."""
     thickness: Positive | None = None
     """Take a mesh as a sheet this thick, in the input's units; 0: as a solid. By default a sheet
     of a voxel if it encloses next to nothing beyond doubt."""
@@ -78,6 +81,7 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--mask-votes: the input is a {source.kind}; only views have masks")
     if isinstance(source, MeshSource):
         source.repair, source.reach = params.repair, params.weld
+        source.hollow = params.shells == "alternate"
         thickness = params.thickness
         if thickness is None and (source.flat or source.sureness < SHEET):
             thickness = float(np.ptp(source.bounding_box(), axis=0).max()) / params.n_init
@@ -86,6 +90,8 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--thickness: the input is a {source.kind}; only a mesh can be a sheet")
     elif params.weld is not None:
         raise UsageError(f"--weld: the input is a {source.kind}; only a mesh has vertices to weld")
+    elif params.shells != "union":
+        raise UsageError(f"--shells: the input is a {source.kind}; only a mesh has shells")
     elif params.repair:
         raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
     context.progress.start("classify", 2 * voxels.ROUNDS)

@@ -82,6 +82,37 @@ def test_parts_beside_or_within_each_other_are_left_as_they_are(tmp_path: Path) 
     assert apart.warnings() == []
 
 
+def test_parts_within_others_are_solid_or_hollow_as_is_asked_for(tmp_path: Path) -> None:
+    vertices, triangles = cubes(*[(0, 0, 0)] * 3, (5, 0, 0))
+    for n, size in enumerate((1.0, 0.6, 0.2)):
+        vertices[8 * n : 8 * n + 8] = size * (vertices[8 * n : 8 * n + 8] - 0.5) + 0.5
+    path = write_ply(tmp_path / "nested.ply", vertices, triangles)
+    source = MeshSource(path)
+    assert source.topology() == (4, 2)
+    assert enclosed_volume(source.vertices, source.triangles) == pytest.approx(2, rel=1e-6)
+    assert source.describe()["buried_parts"] == 2
+    assert "--shells alternate" in source.warnings()[0]
+    source = MeshSource(path)
+    source.hollow = True
+    assert source.topology() == (8, 4)
+    volume = enclosed_volume(source.vertices, source.triangles)
+    assert volume == pytest.approx(2 - 0.6**3 + 0.2**3, rel=1e-6)
+    assert "each second one is taken as a hollow" in source.warnings()[0]
+    # Of a cavity that faces inward nothing has to be said.
+    vertices, triangles = cubes((0, 0, 0), (0, 0, 0), turned=1)
+    vertices[8:] = 0.6 * (vertices[8:] - 0.5) + 0.5
+    source = MeshSource(write_ply(tmp_path / "hollow.ply", vertices, triangles))
+    assert source.warnings() == []
+    assert source.topology() == (4, 2)
+    # And a body in it stands by itself.
+    body = 0.2 * (cubes((0, 0, 0))[0] - 0.5) + 0.5
+    vertices = np.concatenate([vertices, body])
+    triangles = np.concatenate([triangles, cubes((0, 0, 0))[1] + 16])
+    source = MeshSource(write_ply(tmp_path / "more.ply", vertices, triangles))
+    assert source.warnings() == []
+    assert source.topology() == (6, 3)
+
+
 @pytest.mark.parametrize(
     ("shift", "expected", "left_out"),
     [((1, 0, 0), (2, 1), 4), ((1, 1, 0), (4, 2), 0), ((0, 0, 0), (2, 1), 12)],

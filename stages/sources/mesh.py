@@ -19,7 +19,7 @@ from .mesh_file import load
 from .parity import RayParity
 from .repair_child import repaired
 from .sheet import thickened
-from .united import parted, united
+from .united import Union, parted, united
 from .winding import WindingNumber, winding_number
 
 ROUNDING = 1e-6
@@ -82,6 +82,8 @@ class TriangleSource(ABC):
 
     reach: float | None = None
     """Distance within which vertices of open edges are one; None: as single precision tells."""
+    hollow = False
+    """Whether of closed parts within each other each second one is a cavity."""
 
     @property
     @abstractmethod
@@ -110,15 +112,15 @@ class TriangleSource(ABC):
         return len(bad_edges(self.welded))
 
     @cached_property
-    def united(self) -> tuple[PolygonMesh, int] | None:
-        """The union of closed parts that cross each other and how many they are, if there are."""
-        return None if len(bad_edges(self.closed)) else united(self.closed)
+    def united(self) -> Union | None:
+        """The union of closed parts that cross or hold each other, if there are any."""
+        return None if len(bad_edges(self.closed)) else united(self.closed, self.hollow)
 
     @property
     def welded(self) -> PolygonMesh:
         """The polygons with one vertex at every place, and the surface of their union where closed
         parts cross each other."""
-        return self.closed if self.united is None else self.united[0]
+        return self.closed if self.united is None else self.united.mesh
 
     @cached_property
     def closed(self) -> PolygonMesh:
@@ -271,12 +273,13 @@ class MeshSource(TriangleSource):
             "turned_faces": self.winding.turned if self.open_edges else 0,
             "welded_vertices": self.polygons.vertex_count - self.joined.vertex_count,
             "capped_openings": 0 if self.capped is None else self.capped[1],
-            "united_parts": 0 if self.united is None else self.united[1],
+            "united_parts": 0 if self.united is None else self.united.crossing,
+            "buried_parts": 0 if self.united is None else self.united.buried,
             "sureness": round(self.sureness, 4),
         }
 
     def state(self) -> dict[str, Any]:
-        if not self.repair and not self.thickness and self.reach is None:
+        if not (self.repair or self.thickness or self.hollow) and self.reach is None:
             return {}
         return {"source/vertices": self.vertices, "source/triangles": self.triangles}
 
@@ -314,11 +317,19 @@ class MeshSource(TriangleSource):
                 f"the mesh has {openings} opening{'s' if openings > 1 else ''} with a flat edge: "
                 "flat caps are taken to close the surface there"
             )
-        if self.united is not None:
+        if self.united is not None and self.united.crossing:
             said.append(
-                f"{self.united[1]} closed parts of the mesh cross each other: the surface of their "
+                f"{self.united.crossing} closed parts of the mesh cross each other: the surface of their "
                 "union is taken"
             )
+        if self.united is not None and self.united.buried:
+            said.append(
+                f"{self.united.buried} closed parts of the mesh lie within others that face the "
+                "same way: "
+                + ("each second one is taken as a hollow" if self.hollow else
+                   "they are left out, since what is around them is solid; --shells alternate "
+                   "takes each second one as a hollow")
+            )  # fmt: skip
         return said + self._open_warnings()
 
     def _open_warnings(self) -> list[str]:

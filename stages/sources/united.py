@@ -1,6 +1,8 @@
-"""Closed parts of a mesh that touch or cross each other: taken apart, or united."""
+"""Closed parts of a mesh that touch, cross or hold each other: taken apart, or united."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,27 +17,46 @@ SAME = 9
 """Digits of an angle to which faces lie on each other."""
 
 
-def united(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
-    """The union of the closed parts of ``mesh``, whose edges are all in two faces, and how many of
-    them cross another; None where none does, or no solid can be made of one.
+@dataclass(frozen=True)
+class Union:
+    """A closed surface ``mesh``, how many parts cross another and how many lie within another that
+    faces the same way."""
+
+    mesh: PolygonMesh
+    crossing: int
+    buried: int
+
+
+def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
+    """The union of the closed parts of ``mesh``, whose edges are all in two faces; None where each
+    is outside all others or a cavity of one, or no solid can be made of them.
 
     A part that is turned inside out is a cavity where it lies within another that it does not
-    cross; elsewhere it is taken the right way round.
+    cross; elsewhere it is taken the right way round. One within another that faces the same way
+    adds nothing; with ``hollow`` each second of such parts is a cavity.
     """
     mesh = split_pinched(PolygonMesh.of_triangles(*fan_triangles(mesh)[:2]))
     count, part = face_components(mesh)
-    if count == 1 or not _boxes_meet(mesh, part, count):
+    if count == 1:
+        return None
+    low, high = _boxes(mesh, part, count)
+    if not _boxes_meet(low, high):
         return None
     from ..metrics.intersections import self_intersections  # what it compiles with is large
 
     triangles = mesh.face_vertices.reshape(-1, 3)
     pairs = part[self_intersections(mesh.vertices, triangles)]
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
-    if len(pairs) == 0:
+    volume = component_volumes(mesh, part, count)
+    depth = _depths(mesh, part, low, high, volume, np.unique(pairs))
+    buried = depth > 0
+    if len(pairs) == 0 and not buried.any():
         return None
+    if hollow:
+        volume[depth % 2 == 1] *= -1
+        triangles = np.where((depth % 2 == 1)[part][:, None], triangles[:, ::-1], triangles)
     from manifold3d import Manifold, OpType
 
-    volume = component_volumes(mesh, part, count)
     shells = [
         PolygonMesh.of_triangles(
             mesh.vertices, triangles[part == number][:, :: 1 if volume[number] > 0 else -1]
@@ -64,7 +85,25 @@ def united(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     )
     if result.face_count == 0 or len(bad_edges(result)):
         return None
-    return result, len(np.unique(pairs))
+    return Union(result, len(np.unique(pairs)), int(buried.sum()))
+
+
+def _depths(
+    mesh: PolygonMesh, part: Ints, low: Floats, high: Floats, volume: Floats, crossing: Ints
+) -> Ints:
+    """How often the parts that face outward wind around each of them, ``(count,)``, counted for
+    those that face outward and are not ``crossing`` another."""
+    depth = np.zeros(len(low), dtype=np.int64)
+    triangles = mesh.face_vertices.reshape(-1, 3)
+    for number in np.flatnonzero(volume > 0):
+        around = ((low <= low[number]) & (high >= high[number])).all(axis=1)
+        around[number] = False
+        if number in crossing or not around.any():
+            continue
+        rays = RayParity(mesh.vertices, triangles[around[part]])
+        tip = mesh.vertices[triangles[np.argmax(part == number), :1]]
+        depth[number] = max(0, int(rays.winding(tip)[0]))
+    return depth
 
 
 def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
@@ -134,13 +173,17 @@ def _sides(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
     return one[fitting], other[fitting]
 
 
-def _boxes_meet(mesh: PolygonMesh, part: Ints, count: int) -> bool:
-    """Whether the bounding boxes of two of ``count`` parts have a point in common; ``part (F,)`` is
-    that of each face."""
+def _boxes(mesh: PolygonMesh, part: Ints, count: int) -> tuple[Floats, Floats]:
+    """Lower and upper corners of the boxes of ``count`` parts; ``part (F,)`` is that of a face."""
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     at, of = mesh.vertices[mesh.face_vertices], part[mesh.corner_faces]
     np.minimum.at(low, of, at)
     np.maximum.at(high, of, at)
+    return low, high
+
+
+def _boxes_meet(low: Floats, high: Floats) -> bool:
+    """Whether two of the boxes have a point in common."""
     # Sorted along an axis, a box can only meet those that begin before it ends.
     order = np.argsort(low[:, 0])
     last = np.searchsorted(low[order, 0], high[order, 0], side="right")
