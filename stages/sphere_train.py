@@ -221,6 +221,7 @@ def _outcome(
 
     from .export import ply
     from .metrics import watertight
+    from .metrics.departures import departures
     from .optimize.descent import TERMS
     from .surface.topology import topology
     from .voronoi.written import written
@@ -238,6 +239,8 @@ def _outcome(
 
     found = written(trained, radii, inside, outside, merge, context.threads, refused)
     warnings = warnings + found.warnings(count, merge)
+    apart = departures(found.mesh, context.source(), context.surface, frame, context.threads)
+    warnings += apart.warnings(frame.spacing)
     facts, expected = topology(found.mesh), context.source().topology()
     trained_facts = topology(trained)
     if expected is not None and expected != (facts.euler_number, facts.components):
@@ -269,6 +272,7 @@ def _outcome(
             if expected is None
             else {"euler_number": expected[0], "components": expected[1]},
             "trained_topology": vars(trained_facts),
+            "departures": apart.facts(),
             **found.facts(),
             "final_losses": dict(zip(names, history[-1], strict=True)) if len(history) else {},
             **metrics,

@@ -7,12 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Cli, sphere_mesh, surface_of, torus_mesh
+from conftest import Cli, fibonacci, sphere_mesh, surface_of, torus_mesh, write_ply
 
 from vorolight.stages.metrics import chamfer, curvature
+from vorolight.stages.metrics.departures import departures
 from vorolight.stages.metrics.fidelity import fidelity
 from vorolight.stages.metrics.protocols import PROTOCOLS
+from vorolight.stages.sources.mesh import MeshSource
+from vorolight.stages.sources.points import PointSource
+from vorolight.stages.sources.true_surface import true_surface
 from vorolight.stages.surface import geometry
+from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.surface.polygons import PolygonMesh
 
 
@@ -117,3 +122,46 @@ def test_protocols_are_named_with_what_was_changed(name: str, heart_run: Path, c
     assert found["gates"]["topology"] == "not known: that of the reference is not"
     for path in heart_run.glob("evaluate-init.*"):
         path.unlink()
+
+
+def test_what_only_the_surface_or_only_the_input_has_is_named(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(5.0)
+    both = np.concatenate([vertices, 0.4 * vertices + [20.0, 0, 0]])
+    twice = np.concatenate([triangles, triangles + len(vertices)])
+    frame = ModelFrame(np.zeros(3), 0.5)
+    for own, other in ((False, True), (True, False), (True, True)):
+        source = MeshSource(
+            write_ply(tmp_path / "input.ply", *((both, twice) if other else (vertices, triangles)))
+        )
+        surface = true_surface(source, frame, 1)
+        written = PolygonMesh.of_triangles(*((both, twice) if own else (vertices, triangles)))
+        written = written.with_vertices(frame.model_from_input(written.vertices))
+        found = departures(written, source, surface, frame, 1)
+        for part, alone in ((found.surface, own and not other), (found.input, other and not own)):
+            # The smaller ball has 0.16 of the larger one's area, more of the input's samples since
+            # its triangles are smaller; its far side is 17 away.
+            assert part.far == pytest.approx(0.16 / 1.16 if alone else 0, abs=0.03)
+            assert part.largest == pytest.approx(34 if alone else 0, abs=0.5)
+            if alone:
+                assert part.place == pytest.approx([22, 0, 0], abs=1)
+        said = found.warnings(0.5)
+        assert len(said) == (own != other)
+        if own and not other:
+            assert "14 % of the surface lies further than 0.5, up to 17 at (2" in said[0]
+        if other and not own:
+            assert "16 % of the input lies further than 0.5, up to 17 at (2" in said[0]
+
+
+def test_a_surface_where_no_points_are_is_named(tmp_path: Path) -> None:
+    points = fibonacci(4000, 5.0)
+    np.save(tmp_path / "cup.npy", points[points[:, 2] < 3.0])
+    source = PointSource(tmp_path / "cup.npy")
+    frame = ModelFrame(np.zeros(3), 0.5)
+    vertices, triangles = sphere_mesh(5.0)
+    written = PolygonMesh.of_triangles(frame.model_from_input(vertices), triangles)
+    found = departures(written, source, true_surface(source, frame, 1), frame, 1)
+    # The cap above z = 3 has 0.2 of the area, and its middle is sqrt(20) from the rim.
+    assert 0.05 < found.surface.far < 0.2
+    assert found.surface.largest == pytest.approx(20**0.5 / 0.5, rel=0.05)
+    assert found.input.far == 0
+    assert "nothing was measured there" in found.warnings(0.5)[0]

@@ -323,13 +323,16 @@ class MeshSource(TriangleSource):
                 "union is taken"
             )
         if self.united is not None and self.united.buried:
+            taken = (
+                "each second one is taken as a hollow"
+                if self.hollow
+                else "what lies within a solid is left out; --shells alternate takes each second "
+                "one as a hollow"
+            )
             said.append(
-                f"{self.united.buried} closed parts of the mesh lie within others that face the "
-                "same way: "
-                + ("each second one is taken as a hollow" if self.hollow else
-                   "they are left out, since what is around them is solid; --shells alternate "
-                   "takes each second one as a hollow")
-            )  # fmt: skip
+                f"closed parts of the mesh that lie within others and face the same way: "
+                f"{self.united.buried}; {taken}"
+            )
         return said + self._open_warnings()
 
     def _open_warnings(self) -> list[str]:

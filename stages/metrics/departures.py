@@ -1,0 +1,113 @@
+"""Where a surface has something that its input has not, or the input that the surface has not."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..sources.points import PointSource
+from ..sources.projection import ClosestPoint
+from ..surface.geometry import fan_triangles, sample_triangles
+from ..surface.polygons import Floats, PolygonMesh
+from .chamfer import nearest
+
+if TYPE_CHECKING:
+    from ..sources.protocol import Source
+    from ..sources.true_surface import TrueSurface
+    from ..surface.model_frame import ModelFrame
+
+SAMPLES = 20_000
+"""Points on the written surface."""
+FAR, SPACINGS = 1.0, 4.0
+"""Distance from which on something is not the same: in units of h0, of a cloud also in units of the
+spacing of its points."""
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Distances of samples of one surface from the other, in units of h0."""
+
+    p99: float
+    largest: float
+    far: float
+    """Share of the samples that are further than ``limit``."""
+    limit: float
+    place: list[float]
+    """Where the distance is largest, in the input's coordinates."""
+
+    @classmethod
+    def of(cls, points: Floats, distance: Floats, limit: float, frame: ModelFrame) -> Departure:
+        """Of ``distance (N,)`` at ``points (N, 3)``, in model units."""
+        worst = int(np.argmax(distance))
+        return cls(
+            p99=float(np.percentile(distance, 99)),
+            largest=float(distance[worst]),
+            far=float((distance > limit).mean()),
+            limit=limit,
+            place=frame.input_from_model(points[worst]).tolist(),
+        )
+
+    def told(self, spacing: float) -> str:
+        """How much lies how far off; ``spacing`` is h0 in the input's unit."""
+        place = ", ".join(f"{x:.6g}" for x in self.place)
+        return (
+            f"further than {spacing * self.limit:.3g}, up to {spacing * self.largest:.3g} at "
+            f"({place})"
+        )
+
+
+@dataclass(frozen=True)
+class Departures:
+    """Of the written surface from the input, and of the input from the written surface."""
+
+    surface: Departure
+    input: Departure
+    points: bool
+    """Whether the input is points."""
+
+    def facts(self) -> dict[str, Any]:
+        """For the manifest."""
+        return {"surface_to_input": asdict(self.surface), "input_to_surface": asdict(self.input)}
+
+    def warnings(self, spacing: float) -> list[str]:
+        said = []
+        if self.surface.far:
+            what = "any point" if self.points else "the input"
+            why = "nothing was measured there" if self.points else "the input has nothing there"
+            said.append(
+                f"{100 * self.surface.far:.2g} % of the surface lies {self.surface.told(spacing)}, "
+                f"from {what}: {why}, so look at it before you use it"
+            )
+        if self.input.far:
+            said.append(
+                f"{100 * self.input.far:.2g} % of the input lies {self.input.told(spacing)}, from "
+                "the surface: it is lost; raise -n"
+            )
+        return said
+
+
+def departures(
+    written: PolygonMesh, source: Source, surface: TrueSurface, frame: ModelFrame, threads: int
+) -> Departures:
+    """Compare the ``written`` surface, in model units, with the ``source`` it was made from, whose
+    true surface is ``surface``; with the points themselves where these are the source."""
+    vertices, triangles = fan_triangles(written)[:2]
+    points = sample_triangles(vertices, triangles, SAMPLES, np.random.default_rng(0))[0]
+    limit, reference = FAR, surface.samples
+    if isinstance(source, PointSource):
+        limit = max(FAR, SPACINGS * source.reconstruction.spacing / frame.spacing)
+        reference = frame.model_from_input(
+            source.cloud.points[source.reconstruction.kept]
+        )
+        distance = nearest(points, reference, threads)
+    else:
+        distance = np.linalg.norm(points - surface.closest(points)[0], axis=1)
+    foot, _ = ClosestPoint(vertices, triangles, 0.0, threads).locate(reference)
+    back = np.linalg.norm(reference - foot, axis=1)
+    return Departures(
+        Departure.of(points, distance, limit, frame),
+        Departure.of(reference, back, FAR, frame),
+        isinstance(source, PointSource),
+    )
