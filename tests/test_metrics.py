@@ -147,7 +147,7 @@ def test_what_only_the_surface_or_only_the_input_has_is_named(tmp_path: Path) ->
         said = found.warnings(0.5)
         assert len(said) == (own != other)
         if own and not other:
-            assert "14 % of the surface lies further than 0.5, up to 17 at (2" in said[0]
+            assert "13 % of the surface lies further than 0.5, up to 17 at (2" in said[0]
         if other and not own:
             assert "16 % of the input lies further than 0.5, up to 17 at (2" in said[0]
 
