@@ -44,6 +44,9 @@ class Params(contract.Params):
     weld: Positive | None = None
     """Distance, in the input's units, within which vertices of a mesh's open edges are one; 0: only
     those at the same place. By default as near as single precision tells them apart."""
+    allow_poor_input: bool = False
+    """Go on with a mesh most of whose edges are open and whose inside is in doubt. With --thickness
+    it is a sheet, and nothing is asked."""
     shells: Literal["union", "alternate"] = "union"
     """Of closed parts of a mesh within each other that all face outward: union takes them as one
     solid, alternate each second one as a hollow."""
@@ -83,6 +86,8 @@ def run(context: Context) -> Outcome:
         source.repair, source.reach = params.repair, params.weld
         source.hollow = params.shells == "alternate"
         thickness = params.thickness
+        if thickness is None and not params.allow_poor_input:
+            source.refuse_soup()
         if thickness is None and (source.flat or source.sureness < SHEET):
             thickness = float(np.ptp(source.bounding_box(), axis=0).max()) / params.n_init
         source.take_as_sheet(thickness or 0.0)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import random_rotation, sphere_mesh, torus_mesh, write_ply
+from conftest import Cli, random_rotation, sphere_mesh, torus_mesh, write_ply
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +18,7 @@ from vorolight.stages.sources.fields import FIELDS, FieldSource
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.mesh_file import load
 from vorolight.stages.sources.parity import RayParity
+from vorolight.stages.sources.resolve import kind_of
 from vorolight.stages.sources.sheet import thickened
 from vorolight.stages.sources.thin import thin_parts
 from vorolight.stages.sources.true_surface import true_surface
@@ -325,3 +327,72 @@ def test_a_mesh_that_encloses_nothing_is_a_sheet(tmp_path: Path) -> None:
     assert np.array_equal(again.vertices, source.vertices)
     with pytest.raises(InputError, match="too thin"):
         thickened(source.loaded.polygons, 1e-6, "square")
+
+
+def test_what_a_3mf_file_builds_is_read(tmp_path: Path) -> None:
+    import lib3mf
+
+    vertices, triangles = sphere_mesh(1.0, 1)
+    wrapper = lib3mf.get_wrapper()
+    model = wrapper.CreateModel()
+    model.SetUnit(lib3mf.ModelUnit.CentiMeter)
+    ball = model.AddMeshObject()
+    for at in vertices:
+        ball.AddVertex(lib3mf.Position((lib3mf.ctypes.c_float * 3)(*at)))
+    for corners in triangles:
+        ball.AddTriangle(lib3mf.Triangle((lib3mf.ctypes.c_uint32 * 3)(*map(int, corners))))
+
+    def placed(scale: tuple[float, float, float], shift: float) -> object:
+        transform = wrapper.GetIdentityTransform()
+        for row, values in enumerate([*np.diag(scale).tolist(), [shift, 0.0, 0.0]]):
+            for column, value in enumerate(values):
+                transform.Fields[row][column] = value
+        return transform
+
+    both = model.AddComponentsObject()
+    both.AddComponent(ball, placed((1, 1, 1), 0.0))
+    both.AddComponent(ball, placed((-1, 2, 1), 3.0))
+    model.AddBuildItem(both, placed((1, 1, 1), 10.0))
+    model.AddBuildItem(ball, placed((0.5, 0.5, 0.5), 0.0))
+    path = tmp_path / "scene.3mf"
+    model.QueryWriter("3mf").WriteToFile(str(path))
+    assert kind_of(path) == "mesh"
+    source = MeshSource(path)
+    assert source.loaded.polygons_kept
+    assert source.topology() == (6, 3)
+    assert np.allclose(source.bounding_box(), [[-5, -20, -10], [140, 20, 10]], atol=1e-5)
+    # In millimetres, and mirrored parts face outward too.
+    alone = enclosed_volume(vertices, triangles)
+    volume = enclosed_volume(source.vertices, source.triangles)
+    assert volume == pytest.approx(1000 * alone * (1 + 2 + 0.125), rel=1e-5)
+
+
+def test_compressed_geometry_is_named(tmp_path: Path) -> None:
+    for name, extension in (
+        ("Draco", "KHR_draco_mesh_compression"), ("meshopt", "EXT_meshopt_compression")
+    ):  # fmt: skip
+        text = json.dumps({"asset": {"version": "2.0"}, "extensionsRequired": [extension]}).encode()
+        (tmp_path / "a.gltf").write_bytes(text)
+        head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text)).to_bytes(4, "little")
+        (tmp_path / "a.glb").write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text)
+        for ending in ("gltf", "glb"):
+            with pytest.raises(InputError, match=f"compressed \\({name}\\), which is not read"):
+                MeshSource(tmp_path / f"a.{ending}")
+
+
+def test_a_soup_of_triangles_is_refused(tmp_path: Path, cli: Cli) -> None:
+    random = np.random.default_rng(0)
+    corners = random.random((100, 1, 3)) + 0.3 * random.normal(size=(100, 3, 3))
+    faces = np.arange(300).reshape(-1, 3)
+    write_obj(tmp_path / "soup.obj", corners.reshape(-1, 3), faces)
+    done = cli("run", "soup.obj", "-n", 8, cwd=tmp_path)
+    assert done.returncode == 3
+    assert "300 of its 300 edges are not in two faces" in done.stderr
+    done = cli("classify", "soup.obj", "-n", 8, "--allow-poor-input", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    # Triangles apart from each other may enclose a solid all the same.
+    vertices, triangles = sphere_mesh(1.0, 3)
+    apart = vertices[triangles]
+    apart = apart.mean(axis=1, keepdims=True) + 0.999 * (apart - apart.mean(axis=1, keepdims=True))
+    faces = np.arange(apart.size // 3).reshape(-1, 3)
+    MeshSource(write_obj(tmp_path / "apart.obj", apart.reshape(-1, 3), faces)).refuse_soup()

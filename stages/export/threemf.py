@@ -1,4 +1,5 @@
-"""3MF by lib3mf: bodies in millimetres with a title; the same bytes for the same content."""
+"""3MF by lib3mf: bodies in millimetres, written with a title, the same bytes for the same content,
+and read."""
 
 from __future__ import annotations
 
@@ -13,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
-from ..surface.polygons import Ints
+from ..surface.polygons import Floats, Ints, PolygonMesh
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
 """The oldest date that a ZIP archive can hold, in place of today's."""
+MILLIMETRES = (0.001, 1.0, 10.0, 25.4, 304.8, 1000.0)
+"""Of micrometre, millimetre, centimetre, inch, foot and metre, as lib3mf numbers them."""
+DEEPEST, MOST_BODIES = 16, 100_000
+"""Components within components, and meshes that a file may build."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,52 @@ def encode(bodies: list[Body], title: str, application: str) -> bytes:
     writer = model.QueryWriter("3mf")
     writer.SetDecimalPrecision(9)
     return _undated(bytes(bytearray(writer.WriteToBuffer())))
+
+
+def decode(raw: bytes) -> PolygonMesh:
+    """The triangles of all that a 3MF file builds, in millimetres, its objects and their components
+    each in its place. Raises ValueError for what lib3mf cannot read."""
+    import lib3mf
+
+    vertices: list[Floats] = [np.zeros((0, 3))]
+    triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
+    found = 0
+
+    def add(item: Any, place: Floats, depth: int) -> None:
+        nonlocal found
+        if depth > DEEPEST or len(vertices) > MOST_BODIES:
+            raise ValueError("its components hold each other, or are too many")
+        if item.IsMeshObject():
+            at = np.array([list(one.Coordinates) for one in item.GetVertices()]).reshape(-1, 3)
+            corners = [list(one.Indices) for one in item.GetTriangleIndices()]
+            # A mirrored component would be inside out.
+            way = 1 if np.linalg.det(place[:3]) > 0 else -1
+            vertices.append(at @ place[:3] + place[3])
+            triangles.append(np.array(corners, np.int64).reshape(-1, 3)[:, ::way] + found)
+            found += len(at)
+        elif item.IsComponentsObject():
+            for number in range(item.GetComponentCount()):
+                part = item.GetComponent(number)
+                own = _placement(part.GetTransform())
+                whole = np.concatenate([own[:3] @ place[:3], [own[3] @ place[:3] + place[3]]])
+                add(part.GetObjectResource(), whole, depth + 1)
+
+    try:
+        model = lib3mf.get_wrapper().CreateModel()
+        model.QueryReader("3mf").ReadFromBuffer(bytearray(raw))
+        items = model.GetBuildItems()
+        while items.MoveNext():
+            item = items.GetCurrent()
+            add(item.GetObjectResource(), _placement(item.GetObjectTransform()), 0)
+        unit = MILLIMETRES[int(model.GetUnit())]
+    except lib3mf.ELib3MFException as error:
+        raise ValueError(str(error).splitlines()[0]) from error
+    return PolygonMesh.of_triangles(unit * np.concatenate(vertices), np.concatenate(triangles))
+
+
+def _placement(transform: Any) -> Floats:
+    """As ``(4, 3)``: three rows that a point is multiplied by, and what is added."""
+    return np.array([list(row) for row in transform.Fields], dtype=np.float64)
 
 
 def _positions(lib3mf: Any, vertices: NDArray[np.float32]) -> Any:

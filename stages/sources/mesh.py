@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, edges, split_pinched, topology
@@ -30,6 +31,8 @@ ULPS = 4.0
 """Roundings of single precision, at the size of the coordinates, within which vertices are one."""
 SHEET = 0.5
 """Sureness below which a mesh is taken as a sheet."""
+SOUP, SURE = 0.5, 0.9
+"""Share of the edges that are open, and sureness, beyond which a mesh is no surface of a solid."""
 UNSURE = 0.25
 """What is nearer to LEVEL than this may be inside or not."""
 SAMPLES = 20_000
@@ -258,6 +261,17 @@ class MeshSource(TriangleSource):
             "winding", "sureness",
         ):  # fmt: skip
             self.__dict__.pop(name, None)
+
+    def refuse_soup(self) -> None:
+        """Raise InputError where most edges are open and much of the inside is in doubt."""
+        count = len(edges(self.welded)) if self.open_edges else 0
+        if self.open_edges > SOUP * count and self.sureness < SURE:
+            raise InputError(
+                f"{self.path}: {self.open_edges} of its {count} edges are not in two faces, and "
+                f"what is inside is beyond doubt in {100 * self.sureness:.0f} % only, so it is no "
+                "surface of a solid; join its vertices with --weld DISTANCE, take them as points "
+                "with --kind points, or go on with --allow-poor-input"
+            )
 
     def describe(self) -> dict[str, Any]:
         return {

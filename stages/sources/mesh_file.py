@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..export import ply
+from ..export import ply, threemf
 from ..surface.polygons import Floats, PolygonMesh
+
+
+COMPRESSIONS = {
+    b"KHR_draco_mesh_compression": "Draco",
+    b"EXT_meshopt_compression": "meshopt",
+}
+"""Extensions of glTF, by how they are called in a file."""
+LARGEST_HEADER = 64_000_000
+"""Bytes of a glTF file that are searched for them."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +77,29 @@ def _read(path: Path) -> tuple[PolygonMesh, bool]:
             mesh = ply.read(path)
             if mesh is not None:
                 return mesh, True
+        if suffix == ".3mf":
+            return threemf.decode(path.read_bytes()), True
+        if suffix in (".glb", ".gltf"):
+            _without_compression(path)
     except (ValueError, KeyError, IndexError, OverflowError) as error:
         raise InputError(f"{path}: not a readable {suffix[1:].upper()} file ({error})") from error
     return _read_trimesh(path), False
+
+
+def _without_compression(path: Path) -> None:
+    """Raise InputError where the geometry of a glTF file is compressed, as trimesh does not read."""
+    with path.open("rb") as file:
+        head = file.read(20)
+        size = int.from_bytes(head[12:16], "little") if head[:4] == b"glTF" else LARGEST_HEADER
+        if head[:4] != b"glTF":
+            file.seek(0)
+        text = file.read(min(size, LARGEST_HEADER))
+    for key, name in COMPRESSIONS.items():
+        if key in text:
+            raise InputError(
+                f"{path}: its geometry is compressed ({name}), which is not read; export it "
+                "without compression"
+            )
 
 
 def _read_obj(path: Path) -> PolygonMesh:
