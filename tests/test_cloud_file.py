@@ -89,7 +89,7 @@ def test_large_clouds_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def lines(head: str, row: str, joined: str = "\n") -> str:
     """A text with a row for each of 200 points of a sphere of radius 20 about (10, 20, 30)."""
-    points = fibonacci(200, 20.0) + [10, 20, 30]
+    points = np.add(fibonacci(200, 20.0), [10, 20, 30])
     rows = [row.format(x=x, y=y, z=z, k=k) for k, (x, y, z) in enumerate(points)]
     return joined.join([*([head] if head else []), *rows]) + joined
 
@@ -112,7 +112,7 @@ def lines(head: str, row: str, joined: str = "\n") -> str:
     ],
 )
 def test_columns_are_found(text: str, note: str, tmp_path: Path) -> None:
-    points = fibonacci(200, 20.0) + [10, 20, 30]
+    points = np.add(fibonacci(200, 20.0), [10, 20, 30])
     path = tmp_path / "a.csv"
     for coding in ("utf-8", "utf-8-sig", "utf-16"):
         path.write_bytes(text.encode(coding))
@@ -127,7 +127,7 @@ def test_decimal_commas(mark: str, tmp_path: Path) -> None:
     text = lines(f"X{mark}Y{mark}Z", mark.join(["{x:.6f}", "{y:.6f}", "{z:.6f}"]))
     (tmp_path / "a.csv").write_text(text.replace(".", ","))
     found = cloud_file.load(tmp_path / "a.csv")
-    assert np.allclose(found.points, fibonacci(200, 20.0) + [10, 20, 30], atol=1e-6)
+    assert np.allclose(found.points, np.add(fibonacci(200, 20.0), [10, 20, 30]), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_columns_that_are_no_coordinates_are_refused(text: str, said: str, tmp_p
 
 
 def test_columns_that_are_asked_for(tmp_path: Path, cli: Cli) -> None:
-    points = fibonacci(200, 20.0) + [10, 20, 30]
+    points = np.add(fibonacci(200, 20.0), [10, 20, 30])
     (tmp_path / "a.csv").write_text(lines("", "{k},{y:.6f},{x:.6f},{z:.6f}"))
     found = cloud_file.load(tmp_path / "a.csv", "3,2,4")
     assert np.allclose(found.points, points, atol=1e-6)

@@ -146,7 +146,9 @@ def test_air_around_a_body_is_not_taken_for_it_in_silence(tmp_path: Path) -> Non
     radius, _ = ball()
     # Air is negative, as in Hounsfield units, and a layer of positive samples was added.
     np.save(tmp_path / "air.npy", np.pad(1000 * (1 - 2 * radius), 1, constant_values=5.0))
-    assert "as the air around a body does" in FieldSource("a", path=tmp_path / "air.npy").warnings()[0]
+    assert (
+        "as the air around a body does" in FieldSource("a", path=tmp_path / "air.npy").warnings()[0]
+    )
 
 
 @pytest.mark.parametrize("values", [(0, 1), (0, 255), (1, -1), (0, 7)])

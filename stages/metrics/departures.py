@@ -98,9 +98,7 @@ def departures(
     limit, reference = FAR, surface.samples
     if isinstance(source, PointSource):
         limit = max(FAR, SPACINGS * source.reconstruction.spacing / frame.spacing)
-        reference = frame.model_from_input(
-            source.cloud.points[source.reconstruction.kept]
-        )
+        reference = frame.model_from_input(source.cloud.points[source.reconstruction.kept])
         distance = nearest(points, reference, threads)
     else:
         distance = np.linalg.norm(points - surface.closest(points)[0], axis=1)

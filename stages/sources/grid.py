@@ -23,6 +23,7 @@ LEAST = 0.05
 FILLED = 0.9
 """Share of a side of the grid from which on the inside fills it."""
 
+
 @dataclass(frozen=True)
 class SampledField:
     """The spline of ``coefficients (A, B, C)``; sample ``(i, j, k)`` is at ``origin + spacing *
@@ -159,9 +160,13 @@ def _few(values: Floats) -> bool:
     """Whether there are so few different values that they are labels."""
     at = values.ravel()
     # Most fields tell by their first samples, so not all of them have to be sorted.
-    return all(
-        len(np.unique(part)) <= LABELS for part in (at[: 100 * LABELS], at[:: len(at) // 10_000 + 1])
-    ) and len(np.unique(at)) <= LABELS
+    return (
+        all(
+            len(np.unique(part)) <= LABELS
+            for part in (at[: 100 * LABELS], at[:: len(at) // 10_000 + 1])
+        )
+        and len(np.unique(at)) <= LABELS
+    )
 
 
 def _fills(inside: NDArray[np.bool_]) -> bool:
@@ -172,8 +177,8 @@ def _fills(inside: NDArray[np.bool_]) -> bool:
 
 def _smooth(inside: NDArray[np.bool_], spacing: Floats) -> Floats:
     """A field that is negative at the samples ``inside`` and nowhere else, and smooth between them:
-    their distance to the other ones, smoothed by turns and put back to its sign (as in Gibson 1998).
-    """
+    their distance to the other ones, by turns smoothed and put back to its sign (as in Gibson
+    1998)."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     unit = spacing / spacing.min()

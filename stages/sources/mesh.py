@@ -140,7 +140,7 @@ class TriangleSource(ABC):
 
     @cached_property
     def capped(self) -> tuple[PolygonMesh, int] | None:
-        """The triangles of an open mesh with flat caps over its openings, and how many these are."""
+        """The triangles of an open mesh with flat caps over its openings, and their number."""
         open_otherwise = self.parted is None and len(bad_edges(self.joined))
         return capped(self.joined) if open_otherwise else None
 
@@ -257,8 +257,8 @@ class MeshSource(TriangleSource):
         if not thickness:
             return
         for name in (
-            "polygons", "joined", "parted", "capped", "closed", "united", "_fanned", "open_edges", "_rays",
-            "winding", "sureness",
+            "polygons", "joined", "parted", "capped", "closed", "united", "_fanned", "open_edges",
+            "_rays", "winding", "sureness",
         ):  # fmt: skip
             self.__dict__.pop(name, None)
 
@@ -333,8 +333,8 @@ class MeshSource(TriangleSource):
             )
         if self.united is not None and self.united.crossing:
             said.append(
-                f"{self.united.crossing} closed parts of the mesh cross each other: the surface of their "
-                "union is taken"
+                f"{self.united.crossing} closed parts of the mesh cross each other: the surface of "
+                "their union is taken"
             )
         if self.united is not None and self.united.buried:
             taken = (

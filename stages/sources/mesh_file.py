@@ -11,7 +11,6 @@ from ..errors import InputError
 from ..export import ply, threemf
 from ..surface.polygons import Floats, PolygonMesh
 
-
 COMPRESSIONS = {
     b"KHR_draco_mesh_compression": "Draco",
     b"EXT_meshopt_compression": "meshopt",
@@ -87,7 +86,7 @@ def _read(path: Path) -> tuple[PolygonMesh, bool]:
 
 
 def _without_compression(path: Path) -> None:
-    """Raise InputError where the geometry of a glTF file is compressed, as trimesh does not read."""
+    """Raise InputError where the geometry of a glTF file is compressed, which is not read."""
     with path.open("rb") as file:
         head = file.read(20)
         size = int.from_bytes(head[12:16], "little") if head[:4] == b"glTF" else LARGEST_HEADER

@@ -22,10 +22,16 @@ MARKS = ("#", "//")
 DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 UNITS = re.compile(r"[\[(].*?[\])]")
 AXES = tuple(
-    {axis, f"p{axis}", f"{axis}_coord", f"{axis}coord", f"{axis}_m", f"{number}_0"}
-    | {f"{word}{mark}{axis}" for word in ("pos", "position", "point", "coord") for mark in ("", "_")}
+    {axis, f"p{axis}", f"{axis}_coord", f"{axis}coord", f"{axis}_m"}
+    | {
+        f"{word}{mark}{axis}"
+        for word in ("pos", "position", "point", "coord")
+        for mark in ("", "_")
+    }
     | {f"points:{number}", f"points_{number}", f"position:{number}", other}
-    for number, (axis, other) in enumerate(zip("xyz", ("easting", "northing", "elevation"), strict=True))
+    for number, (axis, other) in enumerate(
+        zip("xyz", ("easting", "northing", "elevation"), strict=True)
+    )
 )
 NORMALS = tuple(
     {f"n{axis}", f"n_{axis}", f"normal{axis}", f"normal_{axis}"}
@@ -73,7 +79,8 @@ def read(raw: bytes, columns: str | None = None) -> Table:
     Raises ValueError with what is wrong, in which line.
     """
     lines = _text(raw).splitlines()
-    kept, heads = [], []
+    kept: list[tuple[int, str]] = []
+    heads: list[str] = []
     for number, line in enumerate(lines, 1):
         bare = line.strip()
         if any(bare.startswith(mark) for mark in MARKS):
@@ -105,7 +112,11 @@ def are_normals(vectors: Floats) -> bool:
 
 
 def _text(raw: bytes) -> str:
-    for mark, coding in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig")):
+    for mark, coding in (
+        (b"\xff\xfe", "utf-16"),
+        (b"\xfe\xff", "utf-16"),
+        (b"\xef\xbb\xbf", "utf-8-sig"),
+    ):
         if raw.startswith(mark):
             return raw.decode(coding, errors="replace")
     if b"\0" in raw:
@@ -151,9 +162,9 @@ def _ways(sample: list[str]) -> list[tuple[str | None, bool]]:
     for mark in (";", "\t"):
         if mark in text:
             found.append((mark, "," in text and "." not in text))
-    if commas and all(DECIMAL_COMMA.match(word) or _is_number(word) for word in words):
-        if all(len(line.split()) >= 3 for line in sample):
-            found.append((None, True))
+    numbers = all(DECIMAL_COMMA.match(word) or _is_number(word) for word in words)
+    if commas and numbers and all(len(line.split()) >= 3 for line in sample):
+        found.append((None, True))
     return [*found, (",", False), (None, False)]
 
 
@@ -224,7 +235,12 @@ def _numbers(rows: list[tuple[int, str]], layout: _Layout, columns: tuple[int, .
     ]  # fmt: skip
     try:
         return np.loadtxt(
-            lines, delimiter=layout.delimiter, usecols=columns, ndmin=2, comments=None, quotechar='"'
+            lines,
+            delimiter=layout.delimiter,
+            usecols=columns,
+            ndmin=2,
+            comments=None,
+            quotechar='"',
         )
     except ValueError:
         for number, line in rows:
