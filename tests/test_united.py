@@ -133,6 +133,30 @@ def test_parts_that_touch_are_closed(
     assert f"{left_out} of its 24 faces are left out" in source.warnings()[0]
 
 
+def test_walls_between_stacked_boxes_are_left_out(tmp_path: Path) -> None:
+    levels = 0.3 * np.arange(6)
+    square = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)
+    vertices = np.concatenate([np.column_stack([square, np.full(4, z)]) for z in levels])
+    faces = []
+    for k in range(5):
+        for a in range(4):
+            b = (a + 1) % 4
+            low, high = 4 * k, 4 * k + 4
+            faces += [[low + a, low + b, high + b], [low + a, high + b, high + a]]
+    for k in range(6):
+        up = [[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]]
+        faces += up if k in (2, 5) else [face[::-1] for face in up]
+    source = MeshSource(write_ply(tmp_path / "stack.ply", vertices, np.array(faces)))
+    assert source.topology() == (2, 1)
+    assert source.describe()["walls"] == 8
+    assert "8 faces of the mesh are walls" in source.warnings()[0]
+    assert enclosed_volume(source.vertices, source.triangles) == pytest.approx(6.0, rel=1e-9)
+    # A hole in the outside is none of this.
+    opened = MeshSource(write_ply(tmp_path / "open.ply", vertices, np.array(faces[1:])))
+    assert opened.open_edges > 0
+    assert opened.describe()["walls"] == 0
+
+
 def test_a_point_in_common_leaves_two_parts(tmp_path: Path) -> None:
     source = MeshSource(write_ply(tmp_path / "point.ply", *cubes((0, 0, 0), (1, 1, 1))))
     assert source.topology() == (4, 2)

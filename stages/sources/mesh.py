@@ -20,7 +20,7 @@ from .mesh_file import load
 from .parity import RayParity
 from .repair_child import repaired
 from .sheet import thickened
-from .united import Union, parted, united
+from .united import Union, parted, united, without_walls
 from .winding import WindingNumber, winding_number
 
 ROUNDING = 1e-6
@@ -127,9 +127,9 @@ class TriangleSource(ABC):
 
     @cached_property
     def closed(self) -> PolygonMesh:
-        """The polygons with one vertex at every place, parts that touch taken apart, and flat
-        openings closed."""
-        better = self.parted or self.capped
+        """The polygons with one vertex at every place, parts that touch taken apart, flat openings
+        closed, and walls inside left out."""
+        better = self.parted or self.capped or self.unwalled
         return self.joined if better is None else better[0]
 
     @cached_property
@@ -143,6 +143,12 @@ class TriangleSource(ABC):
         """The triangles of an open mesh with flat caps over its openings, and their number."""
         open_otherwise = self.parted is None and len(bad_edges(self.joined))
         return capped(self.joined) if open_otherwise else None
+
+    @cached_property
+    def unwalled(self) -> tuple[PolygonMesh, int] | None:
+        """The triangles without walls between chambers, and how many these are."""
+        open_otherwise = self.parted is None and len(bad_edges(self.joined))
+        return without_walls(self.joined) if open_otherwise else None
 
     @cached_property
     def joined(self) -> PolygonMesh:
@@ -257,8 +263,8 @@ class MeshSource(TriangleSource):
         if not thickness:
             return
         for name in (
-            "polygons", "joined", "parted", "capped", "closed", "united", "_fanned", "open_edges",
-            "_rays", "winding", "sureness",
+            "polygons", "joined", "parted", "capped", "unwalled", "closed", "united", "_fanned",
+            "open_edges", "_rays", "winding", "sureness",
         ):  # fmt: skip
             self.__dict__.pop(name, None)
 
@@ -287,6 +293,7 @@ class MeshSource(TriangleSource):
             "turned_faces": self.winding.turned if self.open_edges else 0,
             "welded_vertices": self.polygons.vertex_count - self.joined.vertex_count,
             "capped_openings": 0 if self.capped is None else self.capped[1],
+            "walls": 0 if self.unwalled is None else self.unwalled[1],
             "united_parts": 0 if self.united is None else self.united.crossing,
             "buried_parts": 0 if self.united is None else self.united.buried,
             "sureness": round(self.sureness, 4),
@@ -330,6 +337,11 @@ class MeshSource(TriangleSource):
             said.append(
                 f"the mesh has {openings} opening{'s' if openings > 1 else ''} with a flat edge: "
                 "flat caps are taken to close the surface there"
+            )
+        if self.unwalled is not None:
+            said.append(
+                f"{self.unwalled[1]} faces of the mesh are walls between chambers inside: they are "
+                "left out, and what is around them is solid"
             )
         if self.united is not None and self.united.crossing:
             said.append(

@@ -5,14 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
 from ..surface.geometry import component_volumes, fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.solids import solid_of
+from ..surface.thickness import searched
 from ..surface.topology import bad_edges, face_components, split_pinched
 from .parity import RayParity
 
+DIRECTIONS = 200
+"""In which a face is looked at from outside."""
+OFF = 1e-6
+"""How far from a face, in diagonals of the bounding box, its rays start."""
 SAME = 9
 """Digits of an angle to which faces lie on each other."""
 
@@ -145,6 +151,57 @@ def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     if len(bad_edges(result)):
         return None
     return result, left_out
+
+
+def without_walls(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
+    """The triangles of a ``mesh`` without walls between its chambers, as a closed surface turned as
+    most of it was, and how many these are; None where it is open otherwise.
+
+    At an edge of more than two faces a wall is what cannot be seen from outside on either side.
+    """
+    import igl
+
+    vertices, triangles = fan_triangles(mesh)[:2]
+    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    key = ends.reshape(-1, 2) @ np.array([len(vertices), 1])
+    _, edge, uses = np.unique(key, return_inverse=True, return_counts=True)
+    if uses.min() < 2 or uses.max() == 2:
+        return None
+    crowded = (uses[edge.reshape(-1)] > 2).reshape(-1, 3).any(axis=1)
+    _, patch = igl.bfs_orient(np.ascontiguousarray(triangles))
+    asked = np.flatnonzero(np.isin(patch, patch[crowded]))
+    hidden = asked[~_seen(vertices, triangles, asked)]
+    left = np.delete(triangles, hidden, axis=0)
+    if len(hidden) == 0 or len(left) == 0:
+        return None
+    agreed, part = igl.bfs_orient(np.ascontiguousarray(left))
+    turned = ~np.any([(np.roll(agreed, k, axis=1) == left).all(axis=1) for k in range(3)], axis=0)
+    wrong = np.bincount(part, turned) > 0.5 * np.bincount(part)
+    agreed = np.where(wrong[part][:, None], agreed[:, ::-1], agreed).astype(np.int64)
+    result = PolygonMesh.of_triangles(vertices, agreed).without_unused_vertices()
+    return None if len(bad_edges(result)) else (result, len(hidden))
+
+
+def _seen(vertices: Floats, triangles: Ints, asked: Ints) -> NDArray[np.bool_]:
+    """Which triangles ``asked (K,)`` some ray from one of their sides leaves the surface."""
+    tree, at, corners, normals = searched(vertices, triangles)
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    seen = np.zeros(len(asked), dtype=bool)
+    golden = np.pi * (1 + 5**0.5)
+    for k in range(DIRECTIONS):
+        height = 1 - (2 * k + 1) / DIRECTIONS
+        width = np.sqrt(1 - height**2)
+        way = np.array([width * np.cos(golden * k), width * np.sin(golden * k), height])
+        left = np.flatnonzero(~seen)
+        facing = normals[asked[left]]
+        # From the side that the direction leaves from, near the middle and near each corner.
+        facing = np.where((facing @ way < 0)[:, None], -facing, facing)
+        for weights in (np.full(3, 1 / 3), *(np.eye(3) * 0.85 + 0.05)):
+            start = np.einsum("k,nkj->nj", weights, at[corners[asked[left]]]) + OFF * size * facing
+            ways = np.ascontiguousarray(np.broadcast_to(way, start.shape))
+            hit = tree.intersect_ray_first(at, corners, np.ascontiguousarray(start), ways)[0]
+            seen[left[hit < 0]] = True
+    return seen
 
 
 def _sides(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
