@@ -56,6 +56,33 @@ def test_every_format_reads_the_same(tmp_path: Path) -> None:
         assert np.allclose(found.normals, normals, atol=1e-6), path.name
 
 
+@pytest.mark.parametrize("mode", ["ascii", "binary"])
+def test_pcd_is_read(mode: str, tmp_path: Path) -> None:
+    points = fibonacci(200, 2.0).astype(np.float32)
+    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS rgb x y z normal_x normal_y normal_z\n"
+    head += "SIZE 4 4 4 4 4 4 4\nTYPE U F F F F F F\nCOUNT 1 1 1 1 1 1 1\nWIDTH 200\nHEIGHT 1\n"
+    head += f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 200\nDATA {mode}\n"
+    if mode == "ascii":
+        rows = [f"7 {' '.join(map(repr, at.tolist() + (at / 2).tolist()))}" for at in points]
+        body = "\n".join(rows).encode()
+    else:
+        body = b"".join(struct.pack("<I6f", 7, *at, *(at / 2)) for at in points)
+    path = tmp_path / "a.pcd"
+    path.write_bytes(head.encode() + body)
+    assert kind_of(path) == "points"
+    found = cloud_file.load(path)
+    assert np.allclose(found.points, points, atol=1e-6)
+    assert found.normals is not None
+    assert np.allclose(found.normals, points / 2, atol=1e-6)
+    path.write_bytes(head.replace(mode, "binary_compressed").encode() + body)
+    with pytest.raises(InputError, match="its data are binary_compressed"):
+        cloud_file.load(path)
+    path.write_bytes((head.encode() + body)[:-30])
+    if mode == "binary":
+        with pytest.raises(InputError, match="not a readable point cloud"):
+            cloud_file.load(path)
+
+
 def test_colours_are_no_normals(tmp_path: Path) -> None:
     colours = np.random.default_rng(0).integers(0, 255, (200, 3))
     np.savetxt(tmp_path / "a.xyz", np.concatenate([fibonacci(200), colours], axis=1))

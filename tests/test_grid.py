@@ -262,6 +262,23 @@ def test_nrrd(tmp_path: Path, encoding: str, kind: str) -> None:
     assert np.allclose(found.spacing, [0.5, 0.25, 2])
 
 
+def test_axes_of_an_nrrd_in_another_order(tmp_path: Path) -> None:
+    import nrrd
+
+    values = np.random.default_rng(0).random((5, 6, 7))
+    # The samples' first axis runs along z, the second down x, the third along y.
+    directions = np.array([[0, 0, 2.0], [-0.5, 0, 0], [0, 0.25, 0]])
+    header = {"space": "left-posterior-superior", "space origin": [1, 2, 3],
+              "space directions": directions}  # fmt: skip
+    nrrd.write(str(tmp_path / "a.nrrd"), values, header)
+    found = grid_file.read(tmp_path / "a.nrrd")
+    for index in ((0, 0, 0), (4, 5, 6), (1, 2, 3)):
+        place = np.array([1, 2, 3]) + np.array(index) @ directions
+        there = np.rint((place - found.origin) / found.spacing).astype(int)
+        assert np.allclose(found.origin + found.spacing * there, place)
+        assert found.values[tuple(there)] == values[index]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -163,5 +164,14 @@ def test_a_surface_where_no_points_are_is_named(tmp_path: Path) -> None:
     # The cap above z = 3 has 0.2 of the area, and its middle is sqrt(20) from the rim.
     assert 0.05 < found.surface.far < 0.2
     assert found.surface.largest == pytest.approx(20**0.5 / 0.5, rel=0.05)
-    assert found.input.far == 0
+    assert found.input.far == found.enclosed == 0
+    # Points within it are of no surface.
+    within = np.concatenate([points, 0.5 * points[:400]])
+    source.__dict__["cloud"] = replace(source.cloud, points=within)
+    source.__dict__["reconstruction"] = replace(
+        source.reconstruction, kept=np.ones(len(within), dtype=bool)
+    )
+    filled = departures(written, source, true_surface(source, frame, 1), frame, 1)
+    assert filled.enclosed == filled.input.far == pytest.approx(400 / len(within))
+    assert "no points of a surface" in "".join(filled.warnings(0.5))
     assert "nothing was measured there" in found.warnings(0.5)[0]

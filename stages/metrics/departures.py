@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..sources.parity import RayParity
 from ..sources.points import PointSource
 from ..sources.projection import ClosestPoint
 from ..surface.geometry import fan_triangles, sample_triangles
@@ -66,6 +67,8 @@ class Departures:
     input: Departure
     points: bool
     """Whether the input is points."""
+    enclosed: float
+    """Share of the points that lie far inside the surface."""
 
     def facts(self) -> dict[str, Any]:
         """For the manifest."""
@@ -80,7 +83,12 @@ class Departures:
                 f"{100 * self.surface.far:.2g} % of the surface lies {self.surface.told(spacing)}, "
                 f"from {what}: {why}, so look at it before you use it"
             )
-        if self.input.far:
+        if self.enclosed > 0.5 * self.input.far:
+            said.append(
+                f"{100 * self.enclosed:.2g} % of the points lie inside the surface, "
+                f"{self.input.told(spacing)}, from it: they are no points of a surface"
+            )
+        elif self.input.far:
             said.append(
                 f"{100 * self.input.far:.2g} % of the input lies {self.input.told(spacing)}, from "
                 "the surface: it is lost; raise -n"
@@ -104,8 +112,13 @@ def departures(
         distance = np.linalg.norm(points - surface.closest(points)[0], axis=1)
     foot, _ = ClosestPoint(vertices, triangles, 0.0, threads).locate(reference)
     back = np.linalg.norm(reference - foot, axis=1)
+    enclosed = 0.0
+    if isinstance(source, PointSource):
+        far = reference[back > FAR]
+        enclosed = RayParity(vertices, triangles).inside(far).sum() / len(reference)
     return Departures(
         Departure.of(points, distance, limit, frame),
         Departure.of(reference, back, FAR, frame),
         isinstance(source, PointSource),
+        float(enclosed),
     )

@@ -1,4 +1,4 @@
-"""Reading point clouds: PLY, text (XYZ, PTS, ASC, CSV, TXT), NPY, NPZ and Expe's PTS."""
+"""Reading point clouds: PLY, PCD, text (XYZ, PTS, ASC, CSV, TXT), NPY, NPZ and Expe's PTS."""
 
 from __future__ import annotations
 
@@ -96,6 +96,8 @@ def _read(path: Path, columns: str | None) -> Table:
     if suffix == ".npy":
         return _split(_numbers(single_array(path)), None)
     raw = path.read_bytes()
+    if suffix == ".pcd":
+        return _pcd(raw)
     if suffix == ".ply":
         return Table(*ply.decode_points(raw))
     if raw.startswith(EXPE):
@@ -122,6 +124,45 @@ def _split(table: Floats, normals: Any) -> Table:
     elif table.shape[1] == 6 and text_table.are_normals(table[:, 3:]):
         normals = table[:, 3:]
     return Table(table[:, :3], normals)
+
+
+def _pcd(raw: bytes) -> Table:
+    """A PCD of the Point Cloud Library, as text or binary; what is packed is not read."""
+    fields: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in fields:
+        end = raw.index(b"\n", at)
+        words = raw[at:end].decode("ascii", errors="replace").split()
+        at = end + 1
+        if words and not words[0].startswith("#"):
+            fields[words[0].upper()] = words[1:]
+    names = [name.lower() for name in fields["FIELDS"]]
+    if fields["DATA"][:1] == ["ascii"]:
+        return text_table.read(" ".join(names).encode() + b"\n" + raw[at:])
+    if fields["DATA"][:1] != ["binary"]:
+        raise ValueError(f"its data are {' '.join(fields['DATA'])}; save them as binary or ascii")
+    counts = [int(count) for count in fields.get("COUNT", ["1"] * len(names))]
+    kinds = {"F": "f", "I": "i", "U": "u"}
+    layout = np.dtype(
+        [
+            (f"{name} {k}", f"<{kinds[kind]}{int(size)}", (count,))
+            for k, (name, kind, size, count) in enumerate(
+                zip(names, fields["TYPE"], fields["SIZE"], counts, strict=True)
+            )
+        ]
+    )
+    rows = np.frombuffer(raw, layout, int(fields["POINTS"][0]), at)
+
+    def vectors(wanted: tuple[str, ...]) -> Floats | None:
+        if not set(wanted) <= set(names):
+            return None
+        columns = [rows[f"{name} {names.index(name)}"][:, 0] for name in wanted]
+        return np.stack(columns, axis=1).astype(np.float64)
+
+    points = vectors(("x", "y", "z"))
+    if points is None:
+        raise ValueError("it has no fields x, y and z")
+    return Table(points, vectors(("normal_x", "normal_y", "normal_z")))
 
 
 def _expe(raw: bytes) -> tuple[Floats, Floats | None]:

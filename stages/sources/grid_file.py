@@ -112,10 +112,14 @@ def _nrrd(raw: bytes) -> Samples:
     origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=np.float64)
     axes: Any = header.get("space directions", header.get("spacings", np.ones(3)))
     axes = np.asarray(axes, dtype=np.float64)
-    if axes.shape == (3, 3):
-        if np.count_nonzero(axes - np.diag(np.diag(axes))):
+    if axes.shape == (3, 3) and values.ndim == 3:
+        # Row k is the direction of the samples' axis k, along x, y or z.
+        along = np.abs(axes).argmax(axis=1)
+        steps = axes[np.arange(3), along]
+        if np.count_nonzero(axes) != 3 or len(set(along.tolist())) < 3:
             raise ValueError("its axes are not those of space; resample it along x, y and z")
-        axes = np.diag(axes)
+        order = np.argsort(along)
+        values, axes = values.transpose(order), steps[order]
     if origin.shape != (3,) or axes.shape != (3,) or values.ndim != 3:
         raise ValueError("it is no grid of three dimensions")
     return _upward(values, origin, axes)

@@ -137,7 +137,8 @@ def _read_trimesh(path: Path) -> PolygonMesh:
     known = trimesh.available_formats()
     if path.suffix.lower().lstrip(".") not in known:
         raise InputError(
-            f"{path}: files of kind '{path.suffix}' are not read; convert it to OBJ, PLY or STL"
+            f"{path}: files of kind '{path.suffix}' are not read; convert a mesh to OBJ, PLY, STL "
+            "or 3MF, points to PLY, PCD or CSV, samples on a grid to NRRD, VTI or NPY"
         )
     try:
         scene = trimesh.load_scene(path, process=False)

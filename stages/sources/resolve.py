@@ -86,7 +86,7 @@ def kind_of(path: Path) -> str:
     if is_view_set(path):
         return "views"
     suffix = path.suffix.lower()
-    if suffix in TEXT:
+    if suffix in (*TEXT, ".pcd"):
         return "points"
     if suffix in (".nrrd", ".vti"):
         return "field"
