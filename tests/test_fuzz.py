@@ -13,6 +13,7 @@ import pytest
 from conftest import sphere_mesh
 
 from vorolight.stages.errors import InputError
+from vorolight.stages.export import threemf
 
 SECONDS, MEMORY_MB = 10.0, 2000.0
 """What opening one file may take."""
@@ -37,6 +38,18 @@ def seeds(folder: Path) -> list[Path]:
         made.append(folder / f"points.{suffix}")
         np.savetxt(made[-1], table, delimiter=between, header="162" if suffix == "pts" else "",
                    comments="")  # fmt: skip
+    made.append(folder / "named.csv")
+    rows = ["id;X;Y;Z", *(";".join(map(str, [k, *at])) for k, at in enumerate(vertices))]
+    made[-1].write_text("\n".join(rows).replace(".", ","))
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 162\nHEIGHT 1\n"
+    made.append(folder / "binary.pcd")
+    made[-1].write_bytes(f"{head}POINTS 162\nDATA binary\n".encode() + vertices.tobytes())
+    made.append(folder / "text.pcd")
+    text = "\n".join(" ".join(map(str, at)) for at in vertices)
+    made[-1].write_text(f"{head}POINTS 162\nDATA ascii\n{text}\n")
+    made.append(folder / "mesh.3mf")
+    body = threemf.Body("ball", vertices.astype(np.float32), triangles)
+    made[-1].write_bytes(threemf.encode([body], "ball", "test"))
     made.append(folder / "points.ply")
     trimesh.PointCloud(vertices).export(made[-1])
     made.append(folder / "points.npy")
@@ -148,6 +161,8 @@ def open_all(folder: str, count: int) -> None:
     import time
 
     from vorolight.stages.sources.fields import FieldSource
+    from vorolight.stages.sources.mesh import MeshSource
+    from vorolight.stages.sources.points import PointSource
     from vorolight.stages.sources.resolve import identify
 
     faults, opened, slowest, cases = [], 0, 0.0, 0
@@ -158,6 +173,10 @@ def open_all(folder: str, count: int) -> None:
             source = identify(str(path)).open()
             if isinstance(source, FieldSource):
                 source.bounding_box()
+            elif isinstance(source, PointSource):
+                _ = source.cloud
+            elif isinstance(source, MeshSource):
+                source.topology()
             opened += 1
         except InputError as error:
             if str(path) not in str(error) or "\n" in str(error):
