@@ -77,6 +77,11 @@ def test_pcd_is_read(mode: str, tmp_path: Path) -> None:
     path.write_bytes(head.replace(mode, "binary_compressed").encode() + body)
     with pytest.raises(InputError, match="its data are binary_compressed"):
         cloud_file.load(path)
+    if mode == "binary":
+        for size in ("999999999", "1", "x"):
+            path.write_bytes(head.replace("SIZE 4 4", f"SIZE 4 {size}").encode() + body)
+            with pytest.raises(InputError, match="sizes|one byte"):
+                cloud_file.load(path)
     path.write_bytes((head.encode() + body)[:-30])
     if mode == "binary":
         with pytest.raises(InputError, match="not a readable point cloud"):
@@ -130,6 +135,7 @@ def lines(head: str, row: str, joined: str = "\n") -> str:
         (lines("//X Y Z Intensity", "{x:.6f} {y:.6f} {z:.6f} 7"), ""),
         (lines('"Points:0","Points:1","Points:2","f"', "{x:.6f},{y:.6f},{z:.6f},1.5"), ""),
         (lines("", '"{x:.6f}","{y:.6f}","{z:.6f}"'), ""),
+        (lines("# made by a scanner", "{x:.6f} {y:.6f} {z:.6f} 5"), "columns 1, 2 and 3 of 4"),
         (lines("class,x,y,z", "low vegetation,{x:.6f},{y:.6f},{z:.6f}"), ""),
         (lines("", "{x:.6f}\t{y:.6f}\t{z:.6f}\tground"), ""),
         (lines("200", "{x:.6f} {y:.6f} {z:.6f} 120 9 8 7"), "columns 1, 2 and 3 of 7 are taken"),

@@ -142,7 +142,11 @@ def _pcd(raw: bytes) -> Table:
     if fields["DATA"][:1] != ["binary"]:
         raise ValueError(f"its data are {' '.join(fields['DATA'])}; save them as binary or ascii")
     counts = [int(count) for count in fields.get("COUNT", ["1"] * len(names))]
+    if not set(fields["SIZE"]) <= set("1248"):
+        raise ValueError(f"its fields have sizes {' '.join(fields['SIZE'])}, not 1, 2, 4 or 8")
     kinds = {"F": "f", "I": "i", "U": "u"}
+    if ("F", "1") in zip(fields["TYPE"], fields["SIZE"], strict=True):
+        raise ValueError("it has numbers with a point of one byte")
     layout = np.dtype(
         [
             (f"{name} {k}", f"<{kinds[kind]}{int(size)}", (count,))

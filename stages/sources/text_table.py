@@ -93,9 +93,9 @@ def read(raw: bytes, columns: str | None = None) -> Table:
             kept.append((number, bare))
     begin, layout = _layout([line for _, line in kept], heads)
     rows = kept[begin:]
-    found, note = _chosen(layout, columns)
+    found, note = _chosen(layout, columns), ""
     table = _numbers(rows, layout, found)
-    if columns is None and not note and not layout.names:
+    if columns is None and not layout.names:
         note = _plausible(table, layout, found)
         if len(layout.numeric) == 6 and found == layout.numeric[:3]:
             both = _numbers(rows, layout, layout.numeric)
@@ -144,10 +144,14 @@ def _layout(lines: list[str], heads: list[str]) -> tuple[int, _Layout]:
         if len(numeric) < 3:
             continue
         names: tuple[str, ...] = ()
-        for head in [*heads, *lines[:begin]]:
-            fields = [UNITS.sub("", field).strip().lower() for field in way.fields(head)]
-            if len(fields) >= count and not all(map(_is_number, filter(None, fields))):
-                names = tuple(fields)
+        for number, head in enumerate([*heads, *lines[:begin]]):
+            fields = tuple(UNITS.sub("", field).strip().lower() for field in way.fields(head))
+            words = not all(map(_is_number, filter(None, fields)))
+            # A comment may be any sentence.
+            if number < len(heads):
+                words = min(_named(fields)[:3]) >= 0
+            if len(fields) >= count and words:
+                names = fields
         return begin, _Layout(delimiter, comma, count, names, numeric)
     raise ValueError("it has no row of three numbers")
 
@@ -176,8 +180,8 @@ def _is_number(field: str) -> bool:
     return True
 
 
-def _chosen(layout: _Layout, columns: str | None) -> tuple[tuple[int, ...], str]:
-    """The columns of coordinates, or of coordinates and normals, and what is to be said of it."""
+def _chosen(layout: _Layout, columns: str | None) -> tuple[int, ...]:
+    """The columns of coordinates, or of coordinates and normals."""
     if columns is not None:
         wanted = [name.strip().lower() for name in columns.split(",")]
         if len(wanted) not in (3, 6):
@@ -193,19 +197,25 @@ def _chosen(layout: _Layout, columns: str | None) -> tuple[tuple[int, ...], str]
                     f"--columns {columns}: it has no column {name}, but {layout.columns} columns"
                     + (f": {', '.join(layout.names)}" if layout.names else "")
                 )
-        return tuple(found), ""
-    named = [next((k for k, name in enumerate(layout.names) if name in axis), -1)
-             for axis in AXES + NORMALS]  # fmt: skip
+        return tuple(found)
+    named = _named(layout.names)
     if min(named[:3]) >= 0:
-        return tuple(named if min(named) >= 0 else named[:3]), ""
+        return tuple(named if min(named) >= 0 else named[:3])
     if len(layout.numeric) == 3:
-        return layout.numeric, ""
+        return layout.numeric
     if layout.names:
         raise ValueError(
             f"its columns are called {', '.join(name or 'nothing' for name in layout.names)}; say "
             "which are x, y and z, as in --columns 2,3,4"
         )
-    return layout.numeric[:3], ""
+    return layout.numeric[:3]
+
+
+def _named(names: tuple[str, ...]) -> list[int]:
+    """The columns with the names of x, y, z and of the normal; -1 for each that there is not."""
+    return [
+        next((k for k, name in enumerate(names) if name in axis), -1) for axis in AXES + NORMALS
+    ]
 
 
 def _plausible(table: Floats, layout: _Layout, found: tuple[int, ...]) -> str:
