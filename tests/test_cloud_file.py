@@ -80,7 +80,7 @@ def test_pcd_is_read(mode: str, tmp_path: Path) -> None:
     if mode == "binary":
         for size in ("999999999", "1", "x"):
             path.write_bytes(head.replace("SIZE 4 4", f"SIZE 4 {size}").encode() + body)
-            with pytest.raises(InputError, match="sizes|one byte"):
+            with pytest.raises(InputError, match=r"sizes|one byte"):
                 cloud_file.load(path)
     path.write_bytes((head.encode() + body)[:-30])
     if mode == "binary":
