@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.randomness import generator
 from vorolight.stages.errors import InputError
+from vorolight.stages.metrics.intersections import self_intersections
 from vorolight.stages.sources import voxels
 from vorolight.stages.sources.fields import FIELDS, FieldSource
 from vorolight.stages.sources.mesh import MeshSource
@@ -23,7 +24,7 @@ from vorolight.stages.sources.sheet import thickened
 from vorolight.stages.sources.thin import thin_parts
 from vorolight.stages.sources.true_surface import true_surface
 from vorolight.stages.sources.voxels import VoxelGrid
-from vorolight.stages.surface.geometry import enclosed_volume
+from vorolight.stages.surface.geometry import enclosed_volume, triangle_normals
 from vorolight.stages.surface.model_frame import ModelFrame
 from vorolight.stages.voronoi.interface import interface
 from vorolight.stages.voronoi.reflection import reflect
@@ -224,6 +225,40 @@ def test_obj_as_others_write_it(tmp_path: Path) -> None:
     path.write_text(text + "f 0 1 2\n")
     with pytest.raises(InputError, match="counts from 1"):
         load(path)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_concave_faces_are_triangulated(turned: bool, tmp_path: Path) -> None:
+    # The ends of a U, and of a comb whose middle sees only some of its teeth.
+    u = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
+    comb = [(0, 0), (9, 0)]
+    comb += [(x, 5 if (9 - x) % 4 < 2 else 1) for x in range(9, 0, -2) for x in (x, x - 1)]
+    for outline in (u, comb):
+        at = np.array(outline, float)
+        count = len(at)
+        area = 0.5 * float(
+            np.sum(at[:, 0] * np.roll(at[:, 1], -1) - np.roll(at[:, 0], -1) * at[:, 1])
+        )
+        assert area > 0
+        around = float(np.linalg.norm(at - np.roll(at, -1, axis=0), axis=1).sum())
+        vertices = np.concatenate([np.c_[at, np.zeros(count)], np.c_[at, np.full(count, 2.0)]])
+        faces = [list(range(count))[::-1], list(range(count, 2 * count))]
+        faces += [[k, (k + 1) % count, count + (k + 1) % count, count + k] for k in range(count)]
+        if turned:
+            vertices = vertices @ random_rotation(3).T
+        source = MeshSource(write_obj(tmp_path / "prism.obj", vertices, faces))
+        assert source.topology() == (2, 1)
+        # Fans about the middle would overlap, and turn over in the gaps.
+        _, each = triangle_normals(source.vertices, source.triangles)
+        assert each.sum() == pytest.approx(2 * area + 2 * around)
+        assert len(self_intersections(source.vertices, source.triangles)) == 0
+        assert (source.polygons.valences == 4).sum() == count
+
+
+def test_packed_files_are_to_be_unpacked(tmp_path: Path) -> None:
+    (tmp_path / "ball.stl.gz").write_bytes(b"\x1f\x8b")
+    with pytest.raises(InputError, match="is packed; unpack it"):
+        MeshSource(tmp_path / "ball.stl.gz")
 
 
 def test_formats_of_trimesh_are_read(tmp_path: Path) -> None:

@@ -87,10 +87,10 @@ def _caps(vertices: Floats, loops: list[Ints]) -> Ints | None:
         height = np.abs((centre - centre[number]) @ normal[number])
         level = (height < LEVEL * extent[number]) & (np.abs(normal @ normal[number]) > 1 - FACING)
         group = [number, *np.flatnonzero(level & left & (np.arange(len(loops)) != number))]
-        cap = _triangulated(vertices, [loops[k] for k in group], normal[number])
+        cap = triangulated(vertices, [loops[k] for k in group], normal[number])
         if cap is None:
             group = [number]
-            cap = _triangulated(vertices, [loops[number]], normal[number])
+            cap = triangulated(vertices, [loops[number]], normal[number])
         if cap is None:
             return None
         left[group] = False
@@ -104,7 +104,7 @@ def _area(ring: Floats) -> Floats:
     return np.asarray(0.5 * np.cross(at, np.roll(at, -1, axis=0)).sum(axis=0))
 
 
-def _triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | None:
+def triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | None:
     """Triangles of the region within ``loops``, seen along ``normal (3,)``; None where they are not
     flat or have no inside."""
     from manifold3d import triangulate

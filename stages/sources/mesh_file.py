@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..export import ply, threemf
 from ..surface.polygons import Floats, PolygonMesh
+from .concave import without_concave
 
 COMPRESSIONS = {
     b"KHR_draco_mesh_compression": "Draco",
@@ -22,7 +23,8 @@ LARGEST_HEADER = 64_000_000
 
 @dataclass(frozen=True)
 class LoadedMesh:
-    """A mesh as found in a file: nothing merged, nothing repaired."""
+    """A mesh as found in a file: nothing merged, nothing repaired; only faces that cannot be fanned
+    about their middle are triangles."""
 
     polygons: PolygonMesh
     polygons_kept: bool
@@ -59,7 +61,7 @@ def load(path: Path) -> LoadedMesh:
         )
     if np.count_nonzero(np.ptp(mesh.vertices, axis=0)) < 2:
         raise InputError(f"{path}: all of the mesh lies on a line; export it again")
-    return LoadedMesh(mesh, kept)
+    return LoadedMesh(without_concave(mesh), kept)
 
 
 def vertices_of(path: Path) -> Floats:
@@ -136,6 +138,8 @@ def _read_trimesh(path: Path) -> PolygonMesh:
 
     known = trimesh.available_formats()
     if path.suffix.lower().lstrip(".") not in known:
+        if path.suffix.lower() in (".gz", ".zip", ".xz", ".bz2", ".7z"):
+            raise InputError(f"{path}: is packed; unpack it, and give the file that is in it")
         raise InputError(
             f"{path}: files of kind '{path.suffix}' are not read; convert a mesh to OBJ, PLY, STL "
             "or 3MF, points to PLY, PCD or CSV, samples on a grid to NRRD, VTI or NPY"
