@@ -21,8 +21,9 @@ HEIF = (".heic", ".heif")
 """Endings of the pictures that phones take, which Pillow alone does not read."""
 
 
-def read(path: Path) -> NDArray[np.uint8]:
+def read(path: Path, by_range: bool = False) -> NDArray[np.uint8]:
     """The picture at ``path``, ``(H, W)`` grey, ``(H, W, 3)`` or, with alpha, ``(H, W, 4)``.
+    Grey of 16 bits is taken of 65,535, or ``by_range`` of its largest value.
 
     Raises InputError when it is missing or cannot be read, BackendMissing as ``_open`` does.
     """
@@ -34,7 +35,9 @@ def read(path: Path) -> NDArray[np.uint8]:
             if opened.mode in ("1", "L"):
                 mode = "L"
             elif opened.mode in ("I;16", "I;16B", "I"):  # 16 bits of grey
-                return (np.asarray(opened).astype(np.int64) >> 8).astype(np.uint8)
+                grey = np.asarray(opened).astype(np.int64)
+                scaled = 255 * grey // max(1, int(grey.max())) if by_range else grey >> 8
+                return np.asarray(scaled, dtype=np.uint8)
             else:
                 mode = "RGBA" if opened.mode in ("RGBA", "LA", "PA", "RGBa") else "RGB"
                 if opened.mode == "P" and "transparency" in opened.info:

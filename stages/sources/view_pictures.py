@@ -18,6 +18,8 @@ from .view_files import SPACES, Shot, ViewSet, sized
 
 FEWEST = 16
 """Pixels of a mask that are an object, and of what is around it."""
+INVERTED = 0.9
+"""Share of the pixels at the pictures' edges that masks cover, above which they are inverted."""
 LENGTHS = (0.7, 1.3)
 """Between them a pixel of a normal map holds a normal."""
 RIM = 1.5
@@ -53,6 +55,13 @@ def load(found: ViewSet, threads: int = 1) -> Views:
             "have; give all of them or none"
         )
     views = Views(tuple(cameras), np.stack(masks), np.stack(normals) if all(have) else None)
+    edge = np.ones(views.masks.shape[1:], dtype=bool)
+    edge[1:-1, 1:-1] = False
+    if (views.masks[:, edge] >= COVERED).mean() > INVERTED:
+        raise InputError(
+            f"{found.path}: the masks cover the edges of the pictures and leave out what is "
+            "within, so they seem inverted; invert them, so that the object is bright or opaque"
+        )
     if all(have):
         check_normals(found, views)
     return views
@@ -67,7 +76,7 @@ def colours(shot: Shot) -> NDArray[np.float32]:
 
 
 def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArray[np.int16] | None]:
-    image = image_file.read(shot.mask or shot.image)
+    image = image_file.read(shot.mask or shot.image, by_range=shot.mask is not None)
     if shot.mask is None:
         if image.ndim != 3 or image.shape[2] != 4:
             raise InputError(
@@ -79,6 +88,9 @@ def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArra
         mask = image if image.ndim == 2 else image[..., 3 if image.shape[2] == 4 else 0]
         if image.ndim == 3 and image.shape[2] == 4 and mask.min() == 255:
             mask = image[..., 0]  # opaque: the mask is what is drawn
+        top = int(mask.max(initial=0))
+        if 0 < top < COVERED:  # of labels, such as 0 and 1
+            mask = np.asarray(255 * mask.astype(np.int64) // top, dtype=np.uint8)
     height, width = mask.shape
     if image_file.size(shot.image) != (width, height):
         raise InputError(
