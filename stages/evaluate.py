@@ -208,6 +208,12 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
             f"the surface is {larger:.3g} times as large as the reference {name}: is it the same "
             "shape, whole and in the same units?"
         )
+    capped = getattr(source, "capped", None)
+    if capped is not None:
+        warnings.append(
+            f"the reference {name} has openings ({capped[1]}) with a flat edge: it is measured as "
+            "if flat caps closed them"
+        )
     holes = getattr(source, "open_edges", 0)
     if holes:
         warnings.append(
