@@ -97,6 +97,8 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--weld: the input is a {source.kind}; only a mesh has vertices to weld")
     elif params.shells != "union":
         raise UsageError(f"--shells: the input is a {source.kind}; only a mesh has shells")
+    elif params.allow_poor_input:
+        raise UsageError(f"--allow-poor-input: the input is a {source.kind}, not a mesh")
     elif params.repair:
         raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
     context.progress.start("classify", 2 * voxels.ROUNDS)

@@ -190,6 +190,8 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
     """
     import numpy as np
 
+    from .sources.mesh import MeshSource
+
     own = np.stack([corners.min(axis=0), corners.max(axis=0)])
     larger = float(np.linalg.norm(own[1] - own[0]) / np.linalg.norm(box[1] - box[0]))
     if larger > OTHER_UNITS or larger < 1 / OTHER_UNITS:
@@ -208,12 +210,8 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
             f"the surface is {larger:.3g} times as large as the reference {name}: is it the same "
             "shape, whole and in the same units?"
         )
-    capped = getattr(source, "capped", None)
-    if capped is not None:
-        warnings.append(
-            f"the reference {name} has openings ({capped[1]}) with a flat edge: it is measured as "
-            "if flat caps closed them"
-        )
+    if isinstance(source, MeshSource):
+        warnings += [f"the reference {name}: {said}" for said in source.taken()]
     holes = getattr(source, "open_edges", 0)
     if holes:
         warnings.append(

@@ -196,7 +196,7 @@ def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli
         cwd=ball_run,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "open.ply has openings (1) with a flat edge" in done.stderr
+    assert "open.ply: the mesh has 1 opening with a flat edge" in done.stderr
     # Two openings at one vertex are not closed by caps.
     vertices, triangles = sound()
     around = np.flatnonzero((triangles == triangles[7, 0]).any(axis=1))

@@ -83,12 +83,12 @@ def decode(raw: bytes) -> PolygonMesh:
         if depth > DEEPEST or len(vertices) > MOST_BODIES:
             raise ValueError("its components hold each other, or are too many")
         if item.IsMeshObject():
-            at = np.array([list(one.Coordinates) for one in item.GetVertices()]).reshape(-1, 3)
-            corners = [list(one.Indices) for one in item.GetTriangleIndices()]
+            at = np.frombuffer(b"".join(item.GetVertices()), np.float32).reshape(-1, 3)
+            corners = np.frombuffer(b"".join(item.GetTriangleIndices()), np.uint32).reshape(-1, 3)
             # A mirrored component would be inside out.
             way = 1 if np.linalg.det(place[:3]) > 0 else -1
             vertices.append(at @ place[:3] + place[3])
-            triangles.append(np.array(corners, np.int64).reshape(-1, 3)[:, ::way] + found)
+            triangles.append(corners.astype(np.int64)[:, ::way] + found)
             found += len(at)
         elif item.IsComponentsObject():
             for number in range(item.GetComponentCount()):

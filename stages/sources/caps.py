@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..surface.geometry import fan_triangles, triangle_normals
+from ..surface.geometry import face_frames, fan_triangles, triangle_normals
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import OPEN, bad_edges, edge_faults
 
@@ -73,13 +73,10 @@ def _openings(mesh: PolygonMesh) -> list[Ints]:
 def _caps(vertices: Floats, loops: list[Ints]) -> Ints | None:
     """Triangles that close the ``loops``; those in one plane are closed together, since one may be
     the inner edge of another's ring."""
-    centre = np.array([vertices[loop].mean(axis=0) for loop in loops])
-    area = np.array([_area(vertices[loop]) for loop in loops])
-    size = np.linalg.norm(area, axis=1)
+    size, normal, centre = face_frames(_rings(vertices, loops))
     extent = np.array([np.ptp(vertices[loop], axis=0).max() for loop in loops])
     if (size <= EXACT * extent**2).any():
         return None
-    normal = area / size[:, None]
     left, found = np.ones(len(loops), dtype=bool), []
     for number in np.argsort(-size, kind="stable"):
         if not left[number]:
@@ -98,10 +95,10 @@ def _caps(vertices: Floats, loops: list[Ints]) -> Ints | None:
     return np.concatenate(found)
 
 
-def _area(ring: Floats) -> Floats:
-    """The vector area of a closed polygon ``(N, 3)``."""
-    at = ring - ring.mean(axis=0)
-    return np.asarray(0.5 * np.cross(at, np.roll(at, -1, axis=0)).sum(axis=0))
+def _rings(vertices: Floats, loops: list[Ints]) -> PolygonMesh:
+    """The ``loops`` as polygons."""
+    offsets = np.cumsum([0, *(len(loop) for loop in loops)])
+    return PolygonMesh(vertices, offsets.astype(np.int64), np.concatenate(loops))
 
 
 def triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | None:
@@ -116,13 +113,15 @@ def triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | 
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)
     plane = np.stack([at @ across, at @ np.cross(normal, across)], axis=1)
-    rings = np.split(plane, np.cumsum([len(loop) for loop in loops])[:-1])
-    found = np.asarray(triangulate([np.ascontiguousarray(ring) for ring in rings]), np.int64)
+    outlines = _rings(vertices, loops)
+    rings = [np.ascontiguousarray(ring) for ring in np.split(plane, outlines.face_offsets[1:-1])]
+    found = np.asarray(triangulate(rings), np.int64)
     if len(found) == 0:
         return None
     a, b, c = (plane[found[:, k]] for k in range(3))
     areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    wanted = sum(_area(vertices[loop]) @ normal for loop in loops)
+    size, facing, _ = face_frames(outlines)
+    wanted = float(size @ (facing @ normal))
     if (areas <= 0).any() or abs(areas.sum() - wanted) > EXACT * wanted:
         return None
     return np.asarray(corners[found])

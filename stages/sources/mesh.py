@@ -326,6 +326,11 @@ class MeshSource(TriangleSource):
                 f"the mesh ({edges_found} bad edges) is taken as a sheet {self.thickness:g} thick; "
                 "close it, or use --repair or --thickness"
             )
+        return said + self.taken() + self._open_warnings()
+
+    def taken(self) -> list[str]:
+        """What is taken otherwise than it is in the file."""
+        said = []
         if self.parted is not None:
             said.append(
                 f"parts of the mesh touch each other: {self.parted[1]} of its "
@@ -359,7 +364,7 @@ class MeshSource(TriangleSource):
                 f"closed parts of the mesh that lie within others and face the same way: "
                 f"{self.united.buried}; {taken}"
             )
-        return said + self._open_warnings()
+        return said
 
     def _open_warnings(self) -> list[str]:
         if self.open_edges == 0:
