@@ -72,6 +72,13 @@ def write_ply(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Path:
     return path
 
 
+def write_obj(path: Path, vertices: np.ndarray, faces: object) -> Path:
+    lines = ["v {:.17g} {:.17g} {:.17g}".format(*v) for v in vertices]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def surface_of(path: Path, mesh: tuple, spacing: float = 1.0) -> TrueSurface:
     """The true surface of a mesh that is first written to ``path``."""
     return true_surface(

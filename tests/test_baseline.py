@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Cli, fibonacci, sphere_mesh, write_ply
-from test_sources import write_obj
+from conftest import Cli, fibonacci, sphere_mesh, write_obj, write_ply
 
 from vorolight.stages import baseline, classify, pipeline, standing
 from vorolight.stages.artifacts.hdf5 import read

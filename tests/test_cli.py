@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import QUICK, Cli, sphere_mesh
-from test_sources import write_obj
+from conftest import QUICK, Cli, sphere_mesh, write_obj
 
 from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.surface.polygons import PolygonMesh

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import Cli, random_rotation, sphere_mesh, surface_of
-from test_sources import write_obj
+from conftest import Cli, random_rotation, sphere_mesh, surface_of, write_obj
 
 from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.optimize.triangles import Trained

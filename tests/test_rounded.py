@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import Cli, random_rotation, sphere_mesh, surface_of
+from conftest import Cli, random_rotation, sphere_mesh, surface_of, write_obj
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_sources import write_obj
 
 from vorolight.stages.sources.creases import exact, of_triangles
 from vorolight.stages.sources.resolve import identify

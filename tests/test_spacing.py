@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import Cli, fibonacci, random_rotation, sphere_mesh, surface_of
+from conftest import Cli, fibonacci, random_rotation, sphere_mesh, surface_of, write_obj
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_sources import write_obj
 
 from vorolight.stages.optimize.fitting import backward, forward, vertex_errors
 from vorolight.stages.optimize.refinement import Refine, refined

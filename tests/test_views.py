@@ -284,42 +284,6 @@ def spoil_mask(folder: Path) -> None:
     Image.open(file).convert("RGB").resize((48, 48)).save(file)
 
 
-def with_masks(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Put mask files ``change(covered)`` beside the pictures, which lose their alpha; the coverage
-    of the pictures before."""
-    before = []
-    for file in sorted((folder / "images").glob("[0-9][0-9][0-9].png")):
-        covered = np.asarray(Image.open(file))[..., 3] >= 128
-        before.append(covered)
-        Image.open(file).convert("RGB").save(file)
-        Image.fromarray(change(covered)).save(file.with_name(f"{file.stem}_mask.png"))
-    return np.array(before)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda covered: covered.astype(np.uint8),
-        lambda covered: 3 * covered.astype(np.uint8),
-        lambda covered: 255 * covered.astype(np.uint16),
-        lambda covered: covered.astype(np.uint16),
-        lambda covered: 65535 * covered.astype(np.uint16),
-    ],
-)
-def test_masks_are_read_by_their_range(
-    change: Callable[[np.ndarray], np.ndarray], copied: Path
-) -> None:
-    expected = with_masks(copied, change)
-    found = view_pictures.load(view_files.read(copied))
-    assert np.array_equal(found.masks >= 128, expected)
-
-
-def test_inverted_masks_are_named(copied: Path) -> None:
-    with_masks(copied, lambda covered: np.where(covered, 0, 255).astype(np.uint8))
-    with pytest.raises(InputError, match="they seem inverted"):
-        view_pictures.load(view_files.read(copied))
-
-
 def spoil_camera(folder: Path) -> None:
     edit(folder, lambda c: c["frames"][3]["transform_matrix"][0].__setitem__(0, 2.5))
 

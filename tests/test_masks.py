@@ -1,0 +1,59 @@
+"""Masks of views as files: their range, and which side of them is the object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import torus_mesh, write_ply
+from PIL import Image
+
+from vorolight.stages.errors import InputError
+from vorolight.stages.sources import view_files, view_pictures
+from vorolight.stages.sources.view_writer import write_views
+
+
+@pytest.fixture
+def views(tmp_path: Path) -> Path:
+    """Four views of a torus."""
+    mesh = write_ply(tmp_path / "torus.ply", *torus_mesh(1.0, 0.4, 48, 24))
+    write_views(mesh, tmp_path / "views", 4, 64, None, 1, False, 2)
+    return tmp_path / "views"
+
+
+def with_masks(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Put mask files ``change(covered)`` beside the pictures, which lose their alpha; the coverage
+    of the pictures before."""
+    before = []
+    for file in sorted((folder / "images").glob("[0-9][0-9][0-9].png")):
+        covered = np.asarray(Image.open(file))[..., 3] >= 128
+        before.append(covered)
+        Image.open(file).convert("RGB").save(file)
+        Image.fromarray(change(covered)).save(file.with_name(f"{file.stem}_mask.png"))
+    return np.array(before)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda covered: covered.astype(np.uint8),
+        lambda covered: 3 * covered.astype(np.uint8),
+        lambda covered: 255 * covered.astype(np.uint16),
+        lambda covered: covered.astype(np.uint16),
+        lambda covered: 65535 * covered.astype(np.uint16),
+    ],
+)
+def test_masks_are_read_by_their_range(
+    change: Callable[[np.ndarray], np.ndarray], views: Path
+) -> None:
+    expected = with_masks(views, change)
+    found = view_pictures.load(view_files.read(views))
+    assert np.array_equal(found.masks >= 128, expected)
+
+
+def test_inverted_masks_are_named(views: Path) -> None:
+    with_masks(views, lambda covered: np.where(covered, 0, 255).astype(np.uint8))
+    with pytest.raises(InputError, match="they seem inverted"):
+        view_pictures.load(view_files.read(views))
