@@ -31,7 +31,7 @@ def run(context: Context) -> Outcome:
     torch_start.start(context.threads)
     if context.params.by_adam:
         return _as_in_the_paper(context)
-    return _triangles(context) if context.params.faces == "triangle" else _polygons(context)
+    return _conforming(context)
 
 
 def _on_cpu(context: Context) -> list[str]:
@@ -39,96 +39,68 @@ def _on_cpu(context: Context) -> list[str]:
     return [] if device == "cpu" else [f"--device {device}: this training runs on the CPU"]
 
 
-def _triangles(context: Context) -> Outcome:
-    """Triangle faces: remeshed, trained until they conform, and certified."""
+def _conforming(context: Context) -> Outcome:
+    """Triangles, remeshed and trained until they conform, and the polygons merged of them."""
     import numpy as np
 
+    from .optimize.polygons import Polygons, train_polygons
     from .optimize.refinement import Refine
     from .optimize.triangles import resisting as where
     from .optimize.triangles import train_triangles
     from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
 
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
     names = ("intersection", "exclusion", "shape", "normal", "smooth", "radius")
+    weights = params.weights(*names)
     done = train_triangles(
         context,
         params.spacing,
-        params.weights(*names),
+        weights,
         int(params.value("iterations")),
         params.angle,
         None if params.refine is None else Refine(params.refine, params.faces_target),
     )
-    spheres = done.spheres
+    spheres, history, facts = done.spheres, done.history, done.facts()
+    warnings = done.warnings() + _on_cpu(context)
+    polygons = Polygons.of_triangles(spheres)
+    if params.faces == "polygon":
+        if spheres.intruded(context.threads).any():
+            warnings.append("polygons are merged of triangles that conform; these do not")
+        else:
+            polygons, losses, rounds = train_polygons(
+                spheres,
+                context.surface,
+                done.creases,
+                weights,
+                params.polygon_share,
+                context.checkpoints,
+                done.stored(),
+                context.progress,
+                context.threads,
+            )
+            history = np.concatenate([history, losses])
+            facts["polygons"] = polygons.facts() | {"rounds": rounds}
+    trained, corners = polygons.placed(), polygons.spheres
 
     def resisting() -> str:
         return f"another face's generator is in {where(spheres, frame, context.threads)}"
 
-    trained = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
+    points, square = corners.generators()
     count = trained.face_count
-    points, square = spheres.generators()
     return _outcome(
         context,
         frame,
         trained,
-        spheres.radii,
+        corners.radii,
         np.sqrt(np.maximum(square, 0.0)),
         points[count:],
         points[:count],
-        spheres.face_lengths / params.value("edge_length"),
-        done.history,
-        done.facts(),
-        done.warnings() + _on_cpu(context),
-        resisting,
-    )
-
-
-def _polygons(context: Context) -> Outcome:
-    """Polygon faces: a polygon for every vertex of trained triangles, trained in turn."""
-    import numpy as np
-
-    from .optimize.polygons import train_polygons
-    from .optimize.triangles import started, train_triangles
-    from .surface.dual import dual
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
-
-    params = context.params
-    frame = ModelFrame.of(context.arrays("classify"))
-    found = context.checkpoints.latest()
-    if found is not None and "polygon/vertices" in found[1]:
-        mesh = PolygonMesh.from_arrays(found[1], "polygon/")
-        how = found[1]["rounds"].item(), bool(found[1]["from_input"])
-    else:
-        plain = DEFAULTS["triangle"]
-        names = ("intersection", "exclusion", "shape", "normal")
-        weights = {name: plain[f"weight_{name}"] for name in names}
-        weights |= params.weights("smooth", "radius")
-        done = train_triangles(context, params.spacing, weights, int(plain["iterations"]))
-        mesh = dual(PolygonMesh.of_triangles(done.spheres.centres, done.spheres.triangles))
-        how = done.rounds, done.from_input
-    state, history = train_polygons(
-        mesh,
-        context.surface,
-        int(params.value("iterations")),
-        params.weights("intersection", "exclusion", "shape", "smooth"),
-        context.checkpoints,
-        {**mesh.as_arrays("polygon/"), "rounds": np.array(how[0]), "from_input": np.array(how[1])},
-        context.progress,
-        context.threads,
-    )
-    return _labelled(
-        context,
-        frame,
-        mesh.with_vertices(state.centres),
-        state.radii,
-        0.5 * np.linalg.norm(state.outer - state.inner, axis=1),
-        state.outer,
-        state.inner,
+        corners.face_lengths / params.value("edge_length"),
         history,
-        started(*how),
-        _on_cpu(context),
+        facts,
+        warnings,
+        resisting,
     )
 
 
@@ -227,7 +199,7 @@ def _outcome(
     from .voronoi.written import written
 
     params, count = context.params, trained.face_count
-    merge = 0.0 if params.faces == "triangle" else params.merge
+    merge = params.merge if params.by_adam and params.faces == "polygon" else 0.0
 
     def refused(certificate: Certificate) -> None:
         if resisting is not None and not params.allow_uncertified:
@@ -291,12 +263,12 @@ def _memory(context: Context) -> float:
     if not params.by_adam:
         faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2
         faces = params.faces_target or faces
-    return peak(600.0, 430.0, 8.0 if params.kind == "triangle" else 30.0, faces)
+    return peak(600.0, 430.0, 30.0 if params.by_adam else 8.0, faces)
 
 
 STAGE = Stage(
     name="sphere-train",
-    version=12,
+    version=13,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

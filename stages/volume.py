@@ -109,10 +109,11 @@ def run(context: Context) -> Outcome:
         actual, changed = bounded.again(generators, inside, diagram)
         raw = raw_cells(generators, inside, diagram, actual)
         surface, as_written = actual.mesh, False
-        warnings.append(
-            f"{changed} faces of the surface have other corners than as written: its diagram is "
-            "degenerate there, and no certificate says which is right"
-        )
+        if changed:
+            warnings.append(
+                f"{changed} faces of the surface have other corners than as written: its diagram "
+                "is degenerate there, and no certificate says which is right"
+            )
     at = generators[raw.cell_generator]
     result = merged(raw, params.sliver, at)
     mesh = result.mesh
@@ -129,6 +130,9 @@ def run(context: Context) -> Outcome:
         warnings.append(
             f"the CVT energy was still falling after {descent.taken} steps: raise --cvt-iterations"
         )
+    bodies = mesh.body_count
+    if bodies > 1:
+        warnings.append(f"the cells are {bodies} bodies that share no face")
     moments = descent.moments
     offset = np.linalg.norm(points - moments.centroid, axis=1)
     history = np.array([*descent.residuals, (offset**2).mean()]) / mean_area
@@ -160,6 +164,7 @@ def run(context: Context) -> Outcome:
         metrics={
             "inner_generators": len(points),
             "cells": mesh.cell_count,
+            "bodies": bodies,
             "faces": mesh.faces.face_count,
             "boundary_faces": int((mesh.neighbour < 0).sum()),
             "faults": result.faults,
@@ -276,7 +281,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     if made is None:
         raise NumericalFailure(
             f"{context.folder.file('sphere-train', 'ply')}: is not the interface of its "
-            "generators; run: vorolight sphere-train"
+            "generators, and has no certificate; train it without --preset paper, or with --merge 0"
         )
     warning = (
         f"the surface has no certificate ({failed} fails): "

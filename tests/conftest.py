@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from vorolight.stages.optimize.descent import Problem
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.true_surface import TrueSurface, true_surface
 from vorolight.stages.surface.geometry import face_frames
@@ -134,3 +135,36 @@ def exact_pairs(
     arm = arm / (2 * (cross**2).sum(1, keepdims=True))
     offset = np.sqrt(radius**2 - (arm**2).sum(1, keepdims=True))
     return mesh, a + arm - offset * normal, a + arm + offset * normal
+
+
+def slopes(problem: Problem, state: object, residuals: dict, count: int) -> np.ndarray:
+    """Central differences of the residuals by every unknown."""
+    step, columns = 1e-6, []
+    for unknown in range(count):
+        move = np.zeros(count)
+        sides = []
+        for sign in (1, -1):
+            move[unknown] = sign * step
+            parts = problem.residuals(problem.moved(state, move))
+            sides.append(np.concatenate([parts[key] for key in residuals]))
+        columns.append((sides[0] - sides[1]) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def assert_derivatives(problem: Problem, state: object) -> None:
+    problem.prepare(state, 1.0)
+    residuals = problem.residuals(state)
+    count = len(problem.free)
+    blocks = problem.blocks(state, residuals)
+    # Whether or not the terms come in the same order, the gradient and J^T J are the same; rows
+    # that are zero (inactive inequalities) have no part in either.
+    measured = slopes(problem, state, residuals, count)
+    values = np.concatenate([residuals[key] for key in residuals])
+    gradient, square = np.zeros(count), np.zeros((count, count))
+    for block in blocks:
+        jacobian = np.zeros((len(block.residual), count))
+        np.add.at(jacobian, (block.rows, block.columns), block.values)
+        gradient += jacobian.T @ block.residual
+        square += jacobian.T @ jacobian
+    assert gradient == pytest.approx(measured.T @ values, abs=1e-5 * np.abs(gradient).max())
+    assert square == pytest.approx(measured.T @ measured, abs=1e-5 * np.abs(square).max())

@@ -10,15 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import Cli, random_rotation, sphere_mesh, surface_of, torus_mesh, write_ply
+from conftest import (
+    Cli,
+    assert_derivatives,
+    random_rotation,
+    sphere_mesh,
+    surface_of,
+    torus_mesh,
+    write_ply,
+)
 
 from vorolight.stages import classify, init, pipeline, sphere_train, standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.losses import conforming
 from vorolight.stages.optimize import conforming as conforming_training
-from vorolight.stages.optimize.descent import Problem, descend, first_damping
-from vorolight.stages.optimize.polygons import Paired, PairedProblem
+from vorolight.stages.optimize.descent import descend, first_damping
 from vorolight.stages.optimize.sphere_problem import SphereProblem
 from vorolight.stages.optimize.spheres import Spheres
 from vorolight.stages.sources.resolve import identify
@@ -41,39 +48,6 @@ def test_pairs_lie_on_the_three_spheres_of_their_face() -> None:
     assert (np.linalg.norm(points[: len(triangles)], axis=1) > 1).all()
 
 
-def slopes(problem: Problem, state: object, residuals: dict, count: int) -> np.ndarray:
-    """Central differences of the residuals by every unknown."""
-    step, columns = 1e-6, []
-    for unknown in range(count):
-        move = np.zeros(count)
-        sides = []
-        for sign in (1, -1):
-            move[unknown] = sign * step
-            parts = problem.residuals(problem.moved(state, move))
-            sides.append(np.concatenate([parts[key] for key in residuals]))
-        columns.append((sides[0] - sides[1]) / (2 * step))
-    return np.stack(columns, axis=1)
-
-
-def assert_derivatives(problem: Problem, state: object) -> None:
-    problem.prepare(state, 1.0)
-    residuals = problem.residuals(state)
-    count = len(problem.free)
-    blocks = problem.blocks(state, residuals)
-    # Whether or not the terms come in the same order, the gradient and J^T J are the same; rows
-    # that are zero (inactive inequalities) have no part in either.
-    measured = slopes(problem, state, residuals, count)
-    values = np.concatenate([residuals[key] for key in residuals])
-    gradient, square = np.zeros(count), np.zeros((count, count))
-    for block in blocks:
-        jacobian = np.zeros((len(block.residual), count))
-        np.add.at(jacobian, (block.rows, block.columns), block.values)
-        gradient += jacobian.T @ block.residual
-        square += jacobian.T @ jacobian
-    assert gradient == pytest.approx(measured.T @ values, abs=1e-5 * np.abs(gradient).max())
-    assert square == pytest.approx(measured.T @ measured, abs=1e-5 * np.abs(square).max())
-
-
 def test_derivatives_of_spheres_against_finite_differences(tmp_path: Path) -> None:
     vertices, triangles = sphere_mesh(1.0, 1)
     surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.05, 3))
@@ -94,24 +68,6 @@ def test_derivatives_of_spheres_against_finite_differences(tmp_path: Path) -> No
     assert all((residuals[key] != 0).any() for key in weights)
     assert (residuals["exclusion"] == 0).any()
     assert_derivatives(problem, spheres)
-
-
-def test_derivatives_of_polygons_against_finite_differences(tmp_path: Path) -> None:
-    mesh = dual(PolygonMesh.of_triangles(*sphere_mesh(1.0, 1)))
-    surface = surface_of(tmp_path / "ball.ply", sphere_mesh(1.05, 3))
-    random = np.random.default_rng(0)
-    mesh = mesh.with_vertices(mesh.vertices + 0.02 * random.normal(size=mesh.vertices.shape))
-    state = Paired.at(mesh)
-    # Off the first offsets, where the inequality begins to count.
-    outer = state.outer + 0.05 * random.normal(size=state.outer.shape)
-    radii = state.radii * (0.9 + 0.3 * random.random(len(state.radii)))
-    state = replace(state, radii=radii, outer=outer)
-    weights = {"intersection": 3.0, "exclusion": 2.0, "shape": 5.0, "smooth": 0.7}
-    problem = PairedProblem(mesh, state, surface, weights, 1)
-    problem.prepare(state, 1.0)
-    # The middles of the faces count as fixed during a step, as do their normals.
-    assert (problem.residuals(state)["exclusion"] != 0).any()
-    assert_derivatives(problem, state)
 
 
 def squeezed(height: float) -> Spheres:
@@ -339,37 +295,14 @@ def test_what_takes_too_many_triangles_is_refused_before_training(tmp_path: Path
 def test_losses_that_an_input_does_not_have(tmp_path: Path, cli: Cli) -> None:
     assert cli("init", "sphere", "-n", 6, "--iterations", 0, cwd=tmp_path).returncode == 0
     for words, message in (
-        (["--shape-loss", "chamfer"], "add --faces polygon"),
-        (["--faces", "polygon", "--shape-loss", "chamfer"], "a field has no target points"),
+        (["--shape-loss", "chamfer"], "add --preset paper"),
+        (["--preset", "paper", "--shape-loss", "chamfer"], "a field has no target points"),
         (["--learning-rate", 0.1], "add --preset paper"),
-        (["--preset", "paper", "--edge-length", 0.5], "add --faces triangle"),
+        (["--preset", "paper", "--edge-length", 0.5], "not used in this training"),
     ):
         done = cli("sphere-train", *words, cwd=tmp_path)
         assert done.returncode == 2
         assert message in done.stderr
-
-
-def test_polygons_of_a_torus(tmp_path: Path, cli: Cli) -> None:
-    words = ["-n", 12, "--init-iterations", 3, "--faces", "polygon", "--until", "volume"]
-    done = cli("run", "torus", *words, "--inner", 60, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = result(tmp_path / "torus.vorolight")
-    assert found["conformity"]["pair_area_share"] > 0.97
-    assert found["conformity"]["pair_faces"] == found["trained_faces"]
-    # The diagram has several slivers a face; the written surface hardly any, and stays closed.
-    assert found["conformity"]["interface_faces"] > 3 * found["trained_faces"]
-    assert found["written_faces"] < 1.1 * found["trained_faces"]
-    assert 0 < found["merged_within"] <= 0.1
-    assert found["as_written"]["closed"]
-    assert (found["topology"]["euler_number"], found["topology"]["components"]) == (0, 1)
-    assert found["pairs"] == {"relabelled": 0, "replaced": 0, "undecided": 0}
-    # Without a certificate the cells end at the surface that was written, and it is said.
-    assert "no certificate" in done.stderr
-    assert "the cells end at the interface of its generators" in done.stderr
-    volume = result(tmp_path / "torus.vorolight", "volume")
-    assert volume["boundary_faces"] == found["written_faces"]
-    assert volume["volume_error"] < 1e-9
-    assert volume["faults"]["open"] == 0
 
 
 def test_many_inner_generators_keep_the_certificate(tmp_path: Path, cli: Cli) -> None:

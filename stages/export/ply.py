@@ -1,4 +1,4 @@
-"""PLY: polygon surfaces, binary little-endian out; any PLY of plain faces in."""
+"""PLY: polygon surfaces, binary little-endian or as text out; any PLY of plain faces in."""
 
 from __future__ import annotations
 
@@ -26,9 +26,15 @@ def encode(
     colours: NDArray[np.uint8] | None = None,
 ) -> bytes:
     """The PLY bytes of ``mesh``: double coordinates, int32 indices, optional float scalars and
-    ``colours (V, 3)``: red, green and blue."""
+    ``colours (V, 3)``: red, green and blue.
+
+    Faces of one size are binary. Those of several are text, to the last bit all the same, because
+    trimesh and readers like it take the size of a binary list from its first row.
+    """
     vertex_data, face_data = dict(vertex_data or {}), dict(face_data or {})
-    header = ["ply", "format binary_little_endian 1.0", "comment vorolight"]
+    even = mesh.face_count == 0 or bool((mesh.valences == mesh.valences[0]).all())
+    kind = "binary_little_endian" if even else "ascii"
+    header = ["ply", f"format {kind} 1.0", "comment vorolight"]
     header += [f"element vertex {mesh.vertex_count}"]
     header += [f"property double {axis}" for axis in "xyz"]
     header += [f"property float {name}" for name in vertex_data]
@@ -47,6 +53,9 @@ def encode(
         vertices[name] = values
     if colours is not None:
         vertices["rgb"] = colours
+    text = ("\n".join([*header, "end_header"]) + "\n").encode("ascii")
+    if not even:
+        return text + _as_text(mesh, vertex_data, face_data, colours)
     extra = 4 * len(face_data)
     rows = 1 + 4 * mesh.valences + extra
     starts = np.concatenate([[0], np.cumsum(rows)]).astype(np.int64)
@@ -61,8 +70,29 @@ def encode(
         body[at[:, None] + np.arange(4)] = (
             np.ascontiguousarray(values, dtype="<f4").view(np.uint8).reshape(-1, 4)
         )
-    text = "\n".join([*header, "end_header"]) + "\n"
-    return text.encode("ascii") + vertices.tobytes() + body.tobytes()
+    return text + vertices.tobytes() + body.tobytes()
+
+
+def _as_text(
+    mesh: PolygonMesh,
+    vertex_data: Mapping[str, Floats],
+    face_data: Mapping[str, Floats],
+    colours: NDArray[np.uint8] | None,
+) -> bytes:
+    """The lines of the vertices and of the faces; numbers read back are the same."""
+    columns = [mesh.vertices[:, axis].tolist() for axis in range(3)]
+    columns += [np.asarray(values, np.float32).tolist() for values in vertex_data.values()]
+    columns += [] if colours is None else [colours[:, k].tolist() for k in range(3)]
+    lines = [" ".join(map(repr, row)) for row in zip(*columns, strict=True)]
+    corners = list(map(str, mesh.face_vertices.tolist()))
+    ends = mesh.face_offsets.tolist()
+    scalars = [np.asarray(values, np.float32).tolist() for values in face_data.values()]
+    rows = zip(*scalars, strict=True) if scalars else ((),) * mesh.face_count
+    lines += [
+        " ".join([str(end - start), *corners[start:end], *map(repr, row)])
+        for start, end, row in zip(ends[:-1], ends[1:], rows, strict=True)
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
 
 
 def _row_starts(first: int, following: Ints, count: int) -> Ints:

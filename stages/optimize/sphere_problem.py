@@ -40,7 +40,7 @@ LARGEST_STEP = 0.12
 """Of a centre or radius, in edge lengths."""
 
 
-def _on_creases(creases: Creases, spheres: Spheres) -> Rows:
+def on_creases(creases: Creases, spheres: Spheres) -> Rows:
     """Vertices on creases, and two planes through each one's crease; three at a corner."""
     at = np.flatnonzero(spheres.rank > 0)
     foot, tangent = creases.closest(spheres.centres[at], spheres.as_mesh().chains()[at])
@@ -108,7 +108,7 @@ class SphereProblem:
             scale = weights["shape"] * len(centres) * rows.share * hold
             self.shape.append((rows, np.sqrt(scale) / self.length[rows.corners].mean(axis=1)))
         if creases is not None:
-            rows = _on_creases(creases, spheres)
+            rows = on_creases(creases, spheres)
             hold = spheres.hold[rows.corners[:, 0]]
             self.shape.append((rows, np.sqrt(SHARP * hold) / self.length[rows.corners[:, 0]]))
         self.laplacian = Laplacian.of(EdgeTable.of(triangles).ends, self.count)

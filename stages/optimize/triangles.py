@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from ..surface.spacing import Spacing, TooManyTriangles, distinct, spaced
 from ..surface.thickness import thickness
 from ..surface.topology import topology
 from .conforming import ROUND, Leg, conform
-from .descent import TERMS
+from .descent import TERMS, first_damping
 from .fitting import vertex_errors
 from .refinement import MOST, Refine, refined
 from .spheres import Spheres
@@ -52,6 +52,18 @@ class Trained:
     """How the refinement went, if there was to be one."""
     asked: int | None
     """How many triangles there were to be."""
+    refinements: int
+    """Rounds of refinement."""
+
+    def stored(self) -> dict[str, Any]:
+        """What a checkpoint of a later phase needs for this one to be found done."""
+        count = len(self.spheres.centres)
+        state = {item.name: getattr(self.spheres, item.name) for item in fields(Spheres)}
+        return state | {
+            "round": 1, "begin": 0, "damping": first_damping(count),
+            "free": np.ones(count, dtype=bool), "history": self.history, "missed": self.missed,
+            "refined": self.refinements, "repairs": self.rounds,
+        }  # fmt: skip
 
     @property
     def given_up(self) -> int:
@@ -166,7 +178,9 @@ def train_triangles(
         largest = float(far.max())
         facts = {"rounds": times, "bound": refine.bound, "largest": largest,
                  "within": largest <= refine.bound}  # fmt: skip
-    return Trained(spheres, history, repairs, from_input, creases, missed, facts, spacing.faces)
+    return Trained(
+        spheres, history, repairs, from_input, creases, missed, facts, spacing.faces, times
+    )
 
 
 def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool, bool]:

@@ -95,7 +95,8 @@ class Boundary:
 
         def vertex_of(tetrahedra: Ints, centres: Floats) -> Ints:
             result = np.full(len(tetrahedra), INNER, dtype=np.int64)
-            labels = inside[tetrahedra] | (tetrahedra < 0)
+            # What was added inside has a negative number.
+            labels = inside[np.maximum(tetrahedra, 0)] | (tetrahedra < 0)
             mixed = np.flatnonzero(~labels.all(axis=1))
             wanted = _rows(tetrahedra[mixed])
             place = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]

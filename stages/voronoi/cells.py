@@ -103,6 +103,18 @@ class PolyhedralMesh:
         return replace(self, faces=self.faces.with_vertices(vertices))
 
     @property
+    def body_count(self) -> int:
+        """Sets of cells that no faces lead between."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        inner = self.neighbour >= 0
+        pairs = self.owner[inner], self.neighbour[inner]
+        shape = (self.cell_count, self.cell_count)
+        graph = coo_array((np.ones(int(inner.sum()), dtype=bool), pairs), shape=shape)
+        return int(connected_components(graph, directed=False)[0])
+
+    @property
     def boundary(self) -> PolygonMesh:
         """The faces of one cell only, over all vertices."""
         return self.faces.select_faces(self.neighbour < 0)

@@ -88,7 +88,7 @@ def certify(
     way = generators[second] - generators[first]
     length = np.linalg.norm(way, axis=1)
     turned = int((np.einsum("ij,ij->i", way, normal) <= 0).sum())
-    rings = int((~_sound_rings(trained, area, normal)).sum()) + len(bad_edges(trained))
+    rings = int((~sound_rings(trained, area, normal)).sum()) + len(bad_edges(trained))
     rings += int((np.bincount(corner, minlength=1) == 2).sum())
     vertices, triangles, _ = fan_triangles(trained)
     wound = int((RayParity(vertices, triangles).winding(generators) != inside).sum())
@@ -137,7 +137,7 @@ def _other_powers(
     return np.asarray(reach - radii[sphere] ** 2)
 
 
-def _sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
+def sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
     """Faces that are planar and turn to the left at every corner, once around."""
     face, here, after = mesh.corner_faces, mesh.face_vertices, mesh.next_vertices
     into = mesh.vertices[after] - mesh.vertices[here]
