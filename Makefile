@@ -8,8 +8,7 @@ SEED ?= 0
 THREADS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 INNER ?= 800
 FABRICATE ?= --lamp
-# The tubes of a lamp run along polygons; FACES=triangle draws the dual of a certified surface.
-FACES ?= polygon
+FACES ?= triangle
 
 BIN := $(VENV)/bin
 RUN ?= $(if $(RUNS),$(RUNS)/)$(basename $(notdir $(INPUT))).vorolight

@@ -43,7 +43,8 @@ def _conforming(context: Context) -> Outcome:
     """Triangles, remeshed and trained until they conform, and the polygons merged of them."""
     import numpy as np
 
-    from .optimize.polygons import Polygons, train_polygons
+    from .optimize.agreement import Polygons
+    from .optimize.polygons import train_polygons
     from .optimize.refinement import Refine
     from .optimize.triangles import resisting as where
     from .optimize.triangles import train_triangles

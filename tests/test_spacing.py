@@ -245,7 +245,7 @@ def test_faces_and_refinement_of_a_run(tmp_path: Path, cli: Cli) -> None:
     [
         (["--spacing-min", "1", "--spacing-max", "0.5"], "more than --spacing-max"),
         (["--faces-target", "500", "--preset", "paper"], "not used with --preset paper"),
-        (["--refine", "0.1", "--preset", "paper"], "only for --faces triangle"),
+        (["--refine", "0.1", "--preset", "paper"], "not used with --preset paper"),
         (["--faces-target", "20"], "at least 100|from 100"),
     ],
 )

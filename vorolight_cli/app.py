@@ -225,8 +225,7 @@ def _run_command() -> None:
     stages = [standing.get(name) for name in standing.ORDER]
 
     def command(**given: Any) -> None:
-        """Run all stages, from INPUT to the printable object, and write the report. With --lamp the
-        faces are polygons if --faces does not say otherwise.
+        """Run all stages, from INPUT to the printable object, and write the report.
 
         Example: vorolight run bunny.obj -n 25 --lamp
         """
@@ -236,10 +235,6 @@ def _run_command() -> None:
         # Without an INPUT the run goes on at the resolution it was begun with.
         stored = None if common.session.input else common.session.folder.manifest("classify")
         recorded = {"classify": stored["params"]} if stored else {}
-        lamp = standing.get("fabricate")
-        if build(lamp, given, common.config, names["fabricate"]).lamp:  # type: ignore[attr-defined]
-            # Unless said otherwise, the tubes of a lamp run along the paper's polygons.
-            recorded["sphere-train"] = {"faces": "polygon"}
         planned = {
             stage.name: build(
                 stage, given, common.config, names[stage.name], recorded.get(stage.name)

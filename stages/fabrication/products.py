@@ -263,8 +263,6 @@ def _warnings(
     shape: Shape, asked: Request, design: Design, stance: Stance, footing: Stand, made: Lattice
 ) -> list[str]:
     said = []
-    if shape.drawn == "trained polygons" and design.edges == "surface":
-        said.append("the trained polygons are drawn: the interface of their generators has slivers")
     if stance.base == "pedestal" and asked.base == "auto" and stance.room is not None:
         said.append(
             f"the light does not fit inside the shape (up to {max(stance.room, 0):.0f} mm wide "

@@ -52,7 +52,7 @@ class Trained:
     """How the refinement went, if there was to be one."""
     asked: int | None
     """How many triangles there were to be."""
-    refinements: int
+    refinements: int = 0
     """Rounds of refinement."""
 
     def stored(self) -> dict[str, Any]:

@@ -1,0 +1,55 @@
+"""Cells of one size on a surface, whatever the size of its own faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sources.projection import ClosestPoint
+from ..surface.dual import dual
+from ..surface.edge_table import Sized
+from ..surface.geometry import fan_triangles
+from ..surface.polygons import Floats, PolygonMesh
+from ..surface.remesh import divide, remesh, thin_out
+
+SHEET = 0.15
+"""In cell sizes: how near an opposite sheet may be and still be told apart by its normals."""
+SAMPLES = 10_000
+
+
+class _Itself:
+    """A surface as what its new triangles are fitted to, in units of the cells."""
+
+    def __init__(self, vertices: Floats, triangles: NDArray[np.int64], threads: int) -> None:
+        self._closest = ClosestPoint(vertices, triangles, SHEET, threads)
+        step = max(1, len(self._closest.samples) // SAMPLES)
+        self.samples = self._closest.samples[::step]
+        self.normals = self._closest.sample_normals[::step]
+
+    def closest(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
+        return self._closest(points, normals)
+
+    def inside(self, points: Floats) -> NDArray[np.bool_]:
+        raise NotImplementedError  # remeshing does not ask
+
+
+def even_cells(surface: PolygonMesh, size: float, threads: int) -> PolygonMesh:
+    """Polygons about ``size`` across on ``surface``, three at every corner: the dual of triangles
+    with edges of that length, in the unit of the surface.
+
+    Raises ValueError where the surface is not closed and manifold.
+    """
+    vertices, triangles, _ = fan_triangles(surface)
+    middle = vertices.mean(axis=0)
+    vertices = (vertices - middle) / size
+    target = _Itself(vertices, triangles, threads)
+    mesh = Sized(vertices, triangles, np.ones(len(vertices)))
+
+    def length(points: Floats) -> Floats:
+        return np.ones(len(points))
+
+    thin_out(mesh, length)
+    divide(mesh, length, target)
+    remesh(mesh, length, target)
+    found = dual(PolygonMesh.of_triangles(mesh.vertices, mesh.triangles))
+    return found.with_vertices(middle + size * found.vertices)
