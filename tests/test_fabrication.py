@@ -268,3 +268,17 @@ def test_3mf_holds_its_bodies_and_is_the_same_each_time(tmp_path: Path) -> None:
     path = tmp_path / "a.3mf"
     path.write_bytes(data)
     assert printcheck.check(path).fault(2) is None
+
+
+def test_nodes_in_hollows_are_raised() -> None:
+    """A chain that goes up, down into a hollow and up again; a deep hollow is left alone."""
+    heights = np.array([0.0, 3.0, 2.0, 2.5, 4.0, 9.0, 1.0, 9.5])
+    nodes = np.column_stack([np.arange(8.0), np.zeros(8), heights])
+    chain = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
+    none = PolygonMesh(nodes, np.zeros(1, np.int64), np.zeros(0, np.int64))
+    graph = tubes.TubeGraph(nodes, chain, none, np.zeros(0, np.int64))
+    found = tubes.raised(graph, 0.0, 2.0).nodes
+    assert found[:, :2] == pytest.approx(nodes[:, :2])
+    assert found[[0, 1, 4, 5, 6, 7], 2].tolist() == heights[[0, 1, 4, 5, 6, 7]].tolist()
+    assert 3.0 < found[2, 2] < found[3, 2] < 3.1
+    assert (tubes.raised(graph, 2.6, 2.0).nodes == nodes).all()  # what stands on the floor stays

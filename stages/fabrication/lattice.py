@@ -142,6 +142,8 @@ def _graph(shape: Shape, stance: Stance, design: Design, diameter: float) -> tub
         assert shape.volume is not None
         wanted = solid.edges_of(shape.volume, design.edges)
     graph = tubes.tube_graph(stance.apply(mesh), weld, wanted)
+    if design.edges == "surface" and len(graph.tubes):
+        graph = tubes.raised(graph, stance.lift + diameter, float(graph.lengths.mean()))
     return replace(graph, face_sources=sources[graph.face_sources])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from ..surface.edits import contract_short_edges, reduce_rings
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edges
 
+RISE = 0.02
+"""By which a raised node is above its lower neighbour, mm."""
 FILLET_REACH, FILLET_RADIUS = 1.6, 0.8
 """How far along a tube its fillet goes, and how thick it ends, in tube radii."""
 
@@ -73,6 +75,38 @@ def tube_graph(surface: PolygonMesh, weld: float, wanted: Ints | None = None) ->
         faces=PolygonMesh(placed[used], faces.face_offsets, renumber[faces.face_vertices]),
         face_sources=np.flatnonzero(kept),
     )
+
+
+def raised(graph: TubeGraph, floor: float, most: float) -> TubeGraph:
+    """The graph with nodes above ``floor`` raised until each has a lower neighbour, so that the
+    printer begins none of them in the air; a hollow that would need more than ``most`` stays."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    start, end = np.concatenate([graph.tubes, graph.tubes[:, ::-1]]).T
+    height, count = graph.nodes[:, 2], len(graph.nodes)
+    standing = (height <= floor) | (height == height.min())
+    # As water fills hollows: the lowest heights from which a way leads down to what stands.
+    filled = np.where(standing, height, np.inf)
+    while True:
+        least = np.full(count, np.inf)
+        np.minimum.at(least, start, filled[end])
+        following = np.where(standing, height, np.maximum(height, least + RISE))
+        if np.array_equal(following, filled):
+            break
+        filled = following
+    lifted = np.isfinite(filled) & (filled > height)
+    both = lifted[start] & lifted[end]
+    pairs = coo_array(
+        (np.ones(int(both.sum()), dtype=bool), (start[both], end[both])), shape=(count, count)
+    )
+    _, hollow = connected_components(pairs, directed=False)
+    deepest = np.zeros(count)
+    np.maximum.at(deepest, hollow[lifted], (filled - height)[lifted])
+    lifted &= deepest[hollow] <= most
+    nodes = graph.nodes.copy()
+    nodes[lifted, 2] = filled[lifted]
+    return replace(graph, nodes=nodes, faces=graph.faces.with_vertices(nodes))
 
 
 def ball(sides: int) -> Floats:
