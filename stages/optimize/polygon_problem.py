@@ -8,21 +8,20 @@ face in closed form; every further corner adds these two equations.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..losses import conforming
-from ..surface.geometry import limited
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.spheres import near_pairs
 from ..surface.topology import edges
-from .fitting import Rows, backward, forward
+from .fitting import backward, forward
 from .laplacian import Laplacian
 from .least_squares import Block
-from .sphere_problem import SHARP, SLACK, on_creases
+from .sphere_problem import SHARP, SLACK, OnSpheres, on_creases
 from .spheres import SAFE, Spheres
 
 if TYPE_CHECKING:
@@ -38,8 +37,6 @@ MARGIN = 0.1
 squared."""
 CONVEX = 0.2
 """Twice the area of three corners in a row below which it is penalised, in edge lengths squared."""
-LARGEST_STEP = 0.12
-"""Of a centre or radius, in edge lengths."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,8 @@ class Planes:
     offset: Floats
 
     def heights(self, centres: Floats) -> Floats:
-        return np.einsum("ij,ij->i", centres[self.vertex], self.normal) - self.offset
+        height = np.einsum("ij,ij->i", centres[self.vertex], self.normal)
+        return np.asarray(height - self.offset)
 
     @property
     def columns(self) -> Ints:
@@ -143,8 +141,10 @@ def halves(mesh: PolygonMesh) -> Ints:
     ]
 
 
-class PolygonProblem:
+class PolygonProblem(OnSpheres):
     """Unknowns ``(c_v, r_v)`` at the corners of polygons, with fixed planes."""
+
+    limits = RADII
 
     def __init__(
         self,
@@ -169,8 +169,8 @@ class PolygonProblem:
         self.margin = np.maximum(MARGIN, 2 * SAFE / self.length**2)
         self.offset = OFFSET * state.face_room
         self.convex = CONVEX
-        self.shape: list[tuple[Rows, Floats]] = []
         self.triangles = halves(faces)
+        self.shape = []
         for way in (forward, backward):
             rows = way(surface, state.centres, self.triangles)
             scale = np.sqrt(weights["shape"] * self.count * rows.share)
@@ -185,13 +185,6 @@ class PolygonProblem:
         self.laplacian = Laplacian.of(edges(faces), self.count)
         self.smoothing = np.sqrt(weights["smooth"]) / self.length
         self.wanting = np.sqrt(weights["radius"]) / self.length
-
-    def moved(self, state: Spheres, step: Floats) -> Spheres:
-        shift, growth = step.reshape(-1, 4)[:, :3], step.reshape(-1, 4)[:, 3]
-        most = LARGEST_STEP * self.length
-        low, high = (limit * self.length for limit in RADII)
-        radii = np.clip(state.radii + np.clip(growth, -most, most), low, high)
-        return replace(state, centres=state.centres + limited(shift, most), radii=radii)
 
     def energies(self, residuals: dict[str, Floats]) -> Floats:
         point, sphere = self.near
@@ -208,20 +201,7 @@ class PolygonProblem:
             "smooth": np.repeat(np.arange(self.count)[:, None], 3, axis=0),
             "radius": np.arange(self.count)[:, None],
         }
-        total = np.zeros(self.count)
-        for key, residual in residuals.items():
-            square = np.repeat(residual**2, of[key].shape[1])
-            total += np.bincount(of[key].reshape(-1), square, minlength=self.count)
-        sums = np.repeat(total[self.triangles].sum(axis=1), 3)
-        return np.asarray(np.bincount(self.triangles.reshape(-1), sums, minlength=self.count))
-
-    def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        grown = places.copy()
-        grown[self.triangles[places[self.triangles].any(axis=1)]] = True
-        return grown
-
-    def spread(self, values: Floats) -> Floats:
-        return np.repeat(values, 4)
+        return self.summed(residuals, of)
 
     def prepare(self, state: Spheres, factor: float) -> None:
         points, _ = state.generators()
@@ -232,9 +212,6 @@ class PolygonProblem:
 
     def residuals(self, state: Spheres) -> dict[str, Floats]:
         points, square = state.generators()
-        point, sphere = self.near
-        arm = points[point] - state.centres[sphere]
-        power = np.einsum("ij,ij->i", arm, arm) - state.radii[sphere] ** 2
         height, beyond, _, _ = incidence(state, self.corners)
         size = self.face_length[self.corners.face]
         bend = self.laplacian(state.centres - self.start)
@@ -250,10 +227,8 @@ class PolygonProblem:
             "convex": strict
             * np.maximum(0.0, self.convex - double / self.face_length[self.turn_face] ** 2),
             "exclusion": strict
-            * np.maximum(0.0, self.margin[sphere] - power / self.length[sphere] ** 2),
-            "shape": np.concatenate(
-                [scale * rows.distance(state.centres) for rows, scale in self.shape]
-            ),
+            * np.maximum(0.0, self.margin[self.near[1]] - self.powers(state, points)),
+            "shape": self.distances(state),
             "smooth": (self.smoothing[:, None] * bend).reshape(-1),
             "radius": self.wanting * (state.radii - self.wanted),
         }
@@ -283,22 +258,8 @@ class PolygonProblem:
         values = gradient * (-strict / self.face_length[self.turn_face[row]] ** 2)[:, None, None]
         columns = 4 * self.turns[row][:, :, None] + np.arange(3)
         blocks.append(Block.dense(columns, values, residuals["convex"][row]))
-        row = np.flatnonzero(residuals["exclusion"])
-        point, sphere = self.near[0][row], self.near[1][row]
-        floor, face = state.smallest**2, point % len(own)
-        columns, values = conforming.power_gradient(
-            pairs.points(floor)[point], own[face], sphere, centres, radii
-        )
-        values[pairs.square[face] <= floor[face], :12] = 0.0
-        values *= (-strict / self.length[sphere] ** 2)[:, None]
-        blocks.append(Block.dense(columns, values, residuals["exclusion"][row]))
-        done = 0
-        for rows, scale in self.shape:
-            columns = 4 * rows.corners[:, :, None] + np.arange(3)
-            values = scale[:, None, None] * rows.gradient()
-            part = residuals["shape"][done : done + len(scale)]
-            blocks.append(Block.dense(columns, values, part))
-            done += len(scale)
+        blocks.append(self.exclusion_block(state, pairs, strict, residuals["exclusion"]))
+        blocks += self.shape_blocks(residuals["shape"])
         lap = self.laplacian
         axis = np.arange(3)
         blocks.append(

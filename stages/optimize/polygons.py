@@ -103,11 +103,10 @@ class _Merging:
         planes = Planes(vertex, self.plane.normal[part], self.plane.offset[part])
         creases = certified.creases.copy()
         creases[:, :2] = number[creases[:, :2]]
-        values = (certified.lengths, certified.hold, certified.age, certified.rank)
-        lengths, hold, age, rank = (value[used] for value in values)
         spheres = Spheres(
-            self.centres[used], self.radii[used], corners.defining, lengths, hold, age, rank,
-            creases, certified.room[used],
+            self.centres[used], self.radii[used], corners.defining, certified.lengths[used],
+            certified.hold[used], certified.age[used], certified.rank[used], creases,
+            certified.room[used],
         )  # fmt: skip
         return Polygons(mesh, corners, planes, spheres), used, owner
 

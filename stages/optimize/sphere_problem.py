@@ -13,7 +13,7 @@ from ..errors import NumericalFailure
 from ..losses import conforming
 from ..surface.edge_table import EdgeTable
 from ..surface.geometry import limited, vertex_normals
-from ..surface.polygons import Floats, PolygonMesh
+from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.spheres import near_pairs
 from .fitting import Rows, backward, forward
 from .laplacian import Laplacian
@@ -78,7 +78,79 @@ def _softened(missing: Floats) -> Floats:
     return np.where(missing > 1, 1 + np.log(missing.clip(1.0, MISSING)), missing)
 
 
-class SphereProblem:
+class OnSpheres:
+    """What problems with the unknowns ``(c_v, r_v)`` share."""
+
+    limits = RADII
+    """Of the radii, in edge lengths."""
+    count: int
+    length: Floats
+    triangles: Ints
+    """Of the surface ``(T, 3)``."""
+    near: tuple[Ints, Ints]
+    """Generators and the spheres not of their faces that they are near."""
+    shape: list[tuple[Rows, Floats]]
+
+    def moved(self, state: Spheres, step: Floats) -> Spheres:
+        shift, growth = step.reshape(-1, 4)[:, :3], step.reshape(-1, 4)[:, 3]
+        most = LARGEST_STEP * self.length
+        low, high = (limit * self.length for limit in self.limits)
+        radii = np.clip(state.radii + np.clip(growth, -most, most), low, high)
+        return replace(state, centres=state.centres + limited(shift, most), radii=radii)
+
+    def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return rings_around(self.triangles, places, 1)
+
+    def spread(self, values: Floats) -> Floats:
+        return np.repeat(values, 4)
+
+    def summed(self, residuals: dict[str, Floats], of: dict[str, Ints]) -> Floats:
+        """The squares of the residuals of the triangles around each vertex; ``of`` holds the
+        vertices ``(R, k)`` of each."""
+        own = np.zeros(self.count)
+        for key, residual in residuals.items():
+            square = np.repeat(residual**2, of[key].shape[1])
+            own += np.bincount(of[key].reshape(-1), square, minlength=self.count)
+        sums = np.repeat(own[self.triangles].sum(axis=1), 3)
+        return np.asarray(np.bincount(self.triangles.reshape(-1), sums, minlength=self.count))
+
+    def powers(self, state: Spheres, points: Floats) -> Floats:
+        """Of the generators to the spheres that they are near, in edge lengths squared."""
+        point, sphere = self.near
+        arm = points[point] - state.centres[sphere]
+        power = np.einsum("ij,ij->i", arm, arm) - state.radii[sphere] ** 2
+        return np.asarray(power / self.length[sphere] ** 2)
+
+    def distances(self, state: Spheres) -> Floats:
+        """Of the samples of the shape to their planes, by their weights."""
+        return np.concatenate([scale * rows.distance(state.centres) for rows, scale in self.shape])
+
+    def shape_blocks(self, residual: Floats) -> list[Block]:
+        blocks, done = [], 0
+        for rows, scale in self.shape:
+            columns = 4 * rows.corners[:, :, None] + np.arange(3)
+            values = scale[:, None, None] * rows.gradient()
+            blocks.append(Block.dense(columns, values, residual[done : done + len(scale)]))
+            done += len(scale)
+        return blocks
+
+    def exclusion_block(
+        self, state: Spheres, pairs: conforming.Pairs, weight: float, residual: Floats
+    ) -> Block:
+        """Generators that are to stay out of other spheres; one that stands for a missing pair
+        follows no sphere. ``weight``: the root of it."""
+        row = np.flatnonzero(residual)
+        point, sphere = self.near[0][row], self.near[1][row]
+        floor, face = state.smallest**2, point % len(state.triangles)
+        columns, values = conforming.power_gradient(
+            pairs.points(floor)[point], state.triangles[face], sphere, state.centres, state.radii
+        )
+        values[pairs.square[face] <= floor[face], :12] = 0.0
+        values *= (-weight / self.length[sphere] ** 2)[:, None]
+        return Block.dense(columns, values, residual[row])
+
+
+class SphereProblem(OnSpheres):
     """Unknowns ``(c_v, r_v)``, with fixed triangles and planes."""
 
     def __init__(
@@ -101,7 +173,7 @@ class SphereProblem:
         self.units: Floats | None = np.repeat(spheres.lengths, 4)
         if not np.isfinite(centres).all():
             raise NumericalFailure("a surface vertex is not finite: the training diverged")
-        self.shape: list[tuple[Rows, Floats]] = []
+        self.shape = []
         for way in (forward, backward):
             rows = way(surface, centres, triangles)
             hold = spheres.hold[rows.corners].min(axis=1)
@@ -121,13 +193,6 @@ class SphereProblem:
         self.smoothing = np.where(spheres.rank > 0, 0.0, self.smoothing)
         self.evening = np.sqrt(weights["radius"]) / self.length
 
-    def moved(self, state: Spheres, step: Floats) -> Spheres:
-        shift, growth = step.reshape(-1, 4)[:, :3], step.reshape(-1, 4)[:, 3]
-        most = LARGEST_STEP * self.length
-        low, high = (limit * self.length for limit in RADII)
-        radii = np.clip(state.radii + np.clip(growth, -most, most), low, high)
-        return replace(state, centres=state.centres + limited(shift, most), radii=radii)
-
     def energies(self, residuals: dict[str, Floats]) -> Floats:
         """Of the triangles around each vertex."""
         triangles, (point, sphere) = self.triangles, self.near
@@ -140,18 +205,7 @@ class SphereProblem:
             "smooth": np.repeat(vertex, 3, axis=0),
             "radius": vertex,
         }
-        own = np.zeros(self.count)
-        for key, residual in residuals.items():
-            square = np.repeat(residual**2, of[key].shape[1])
-            own += np.bincount(of[key].reshape(-1), square, minlength=self.count)
-        sums = np.repeat(own[triangles].sum(axis=1), 3)
-        return np.asarray(np.bincount(triangles.reshape(-1), sums, minlength=self.count))
-
-    def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        return rings_around(self.triangles, places, 1)
-
-    def spread(self, values: Floats) -> Floats:
-        return np.repeat(values, 4)
+        return self.summed(residuals, of)
 
     def prepare(self, state: Spheres, factor: float) -> None:
         mesh = PolygonMesh.of_triangles(state.centres, state.triangles)
@@ -164,19 +218,14 @@ class SphereProblem:
 
     def residuals(self, state: Spheres) -> dict[str, Floats]:
         points, square = state.generators()
-        point, sphere = self.near
-        arm = points[point] - state.centres[sphere]
-        power = np.einsum("ij,ij->i", arm, arm) - state.radii[sphere] ** 2
         bend = self.laplacian(state.centres)
         height = np.einsum("ij,ij->i", bend, self.normal)
         return {
             "intersection": self.strict["intersection"]
             * _softened(np.maximum(0.0, self.offset**2 - square / self.face_length**2)),
             "exclusion": self.strict["exclusion"]
-            * np.maximum(0.0, self.margin[sphere] - power / self.length[sphere] ** 2),
-            "shape": np.concatenate(
-                [scale * rows.distance(state.centres) for rows, scale in self.shape]
-            ),
+            * np.maximum(0.0, self.margin[self.near[1]] - self.powers(state, points)),
+            "shape": self.distances(state),
             "normal": self.bending * height,
             "smooth": (self.smoothing[:, None] * (bend - height[:, None] * self.normal)).reshape(
                 -1
@@ -186,7 +235,7 @@ class SphereProblem:
 
     def blocks(self, state: Spheres, residuals: dict[str, Floats]) -> list[Block]:
         centres, radii, triangles = state.centres, state.radii, state.triangles
-        pairs, count = state.pairs(), len(state.triangles)
+        pairs = state.pairs()
         blocks = []
         # Pairs that are to exist.
         row = np.flatnonzero(residuals["intersection"])
@@ -199,25 +248,10 @@ class SphereProblem:
         slope[short > MISSING] = 0.0
         values = values * (slope / self.face_length[row] ** 2)[:, None]
         blocks.append(Block.dense(columns, values, residuals["intersection"][row]))
-        # Generators that are to stay out of other spheres; one that stands for a missing pair
-        # follows no sphere.
-        row = np.flatnonzero(residuals["exclusion"])
-        point, sphere = self.near[0][row], self.near[1][row]
-        floor = state.smallest**2
-        face = point % count
-        columns, values = conforming.power_gradient(
-            pairs.points(floor)[point], triangles[face], sphere, centres, radii
+        blocks.append(
+            self.exclusion_block(state, pairs, self.strict["exclusion"], residuals["exclusion"])
         )
-        values[pairs.square[face] <= floor[face], :12] = 0.0
-        values *= (-self.strict["exclusion"] / self.length[sphere] ** 2)[:, None]
-        blocks.append(Block.dense(columns, values, residuals["exclusion"][row]))
-        done = 0
-        for rows, scale in self.shape:
-            columns = 4 * rows.corners[:, :, None] + np.arange(3)
-            values = scale[:, None, None] * rows.gradient()
-            part = residuals["shape"][done : done + len(scale)]
-            blocks.append(Block.dense(columns, values, part))
-            done += len(scale)
+        blocks += self.shape_blocks(residuals["shape"])
         return [
             *blocks,
             self.laplacian.along(self.normal, self.smoothing, residuals["smooth"]),

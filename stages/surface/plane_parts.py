@@ -64,7 +64,8 @@ def plane_parts(mesh: Sized, table: EdgeTable, surface: TrueSurface, lengths: Fl
     )
     number, label = connected_components(pairs, directed=False)
     part = label.astype(np.int64)
-    mean = np.stack([np.bincount(part, column, minlength=number) for column in normal.T], axis=1)
+    sums = [np.bincount(part, column, minlength=number) for column in normal.T]
+    mean = np.stack(sums, axis=1).astype(np.float64)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
     along = np.einsum("ij,ij->i", foot, mean[part])
     offset = np.bincount(part, along, minlength=number) / np.bincount(part, minlength=number)

@@ -75,7 +75,8 @@ def _mergeable(vertices: Floats, triangles: Ints, rings: Rings, rank: Ints) -> N
     normal, area = triangle_normals(vertices, triangles)
     count, owner = len(vertices), rings.owners
     weighted = (area[:, None] * normal)[rings.triangles]
-    middle = np.stack([np.bincount(owner, part, minlength=count) for part in weighted.T], axis=1)
+    parts = [np.bincount(owner, part, minlength=count) for part in weighted.T]
+    middle = np.stack(parts, axis=1).astype(np.float64)
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), np.finfo(float).tiny)
     # Half of the angle to the mean stands for the angle between two.
     cosine = np.einsum("ij,ij->i", normal[rings.triangles], middle[owner])
@@ -88,7 +89,7 @@ def _mergeable(vertices: Floats, triangles: Ints, rings: Rings, rank: Ints) -> N
     sine = np.einsum("ij,ij->i", np.cross(into, out), middle[owner])
     sine /= np.linalg.norm(into, axis=1) * np.linalg.norm(out, axis=1)
     good[owner[sine < TURN]] = False
-    return good
+    return np.asarray(good)
 
 
 @compiled
