@@ -42,7 +42,7 @@ SMOOTH = (10.0, 10.0, 5.0, 2.5, 1.0)
 """Factor to the weight of smoothness in these rounds."""
 ROUNDS = 40
 """The most rounds; the triangles are what is left then."""
-ROOM = 0.25
+ROOM = 0.12
 """``delta_f^2`` that the radii beside polygons start with, in edge lengths squared."""
 NEAR, EXACT = 1e-6, 1e-10
 """How far corners may be from agreeing after them, in edge lengths, during the rounds and at the
