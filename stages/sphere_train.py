@@ -67,7 +67,7 @@ def _conforming(context: Context) -> Outcome:
     polygons = Polygons.of_triangles(spheres)
     if params.faces == "polygon":
         if spheres.intruded(context.threads).any():
-            warnings.append("polygons are merged of triangles that conform; these do not")
+            warnings.append("the triangles do not conform, so that none are merged into polygons")
         else:
             polygons, losses, rounds = train_polygons(
                 spheres,
@@ -82,6 +82,11 @@ def _conforming(context: Context) -> Outcome:
             )
             history = np.concatenate([history, losses])
             facts["polygons"] = polygons.facts() | {"rounds": rounds}
+            if params.polygon_share > 0 and not polygons.large.any():
+                warnings.append(
+                    f"no polygon conforms after {rounds} rounds, so that all faces are triangles: "
+                    "raise -n, or lower --edge-length"
+                )
     trained, corners = polygons.placed(), polygons.spheres
 
     def resisting() -> str:

@@ -22,9 +22,11 @@ from vorolight.stages.fabrication import (
     solid,
     tubes,
 )
+from vorolight.stages.fabrication.even_cells import even_cells
 from vorolight.stages.surface.geometry import face_frames
 from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.solids import solid_of
+from vorolight.stages.surface.topology import topology
 
 BALL = PolygonMesh.of_triangles(*sphere_mesh(30.0, 1))
 
@@ -282,3 +284,23 @@ def test_nodes_in_hollows_are_raised() -> None:
     assert found[[0, 1, 4, 5, 6, 7], 2].tolist() == heights[[0, 1, 4, 5, 6, 7]].tolist()
     assert 3.0 < found[2, 2] < found[3, 2] < 3.1
     assert (tubes.raised(graph, 2.6, 2.0).nodes == nodes).all()  # what stands on the floor stays
+
+
+def test_even_cells_have_the_size_that_is_asked_for() -> None:
+    """On a ball whose own faces are a fifth as wide, and on one whose faces are wider."""
+    for level in (4, 1):
+        ball = PolygonMesh.of_triangles(*sphere_mesh(10.0, level))
+        found = even_cells(ball, 3.0, 1)
+        facts = topology(found)
+        assert facts.closed
+        assert facts.euler_number == 2
+        # A hexagon of this width has the area sqrt(3) / 2 times its square.
+        area = face_frames(found)[0].sum()
+        assert facts.faces == pytest.approx(area / (np.sqrt(3) / 2 * 3.0**2), rel=0.25)
+        assert (np.bincount(found.face_vertices) == 3).all()
+
+
+def test_a_few_sealed_faces_are_no_warning() -> None:
+    places = np.zeros((3, 3))
+    assert printability.sealed(places, np.zeros(3), 300).verdict == "ok"
+    assert printability.sealed(places, np.zeros(3), 299).verdict == "warn"

@@ -274,3 +274,19 @@ def test_polygons_of_a_part_with_plane_sides(tmp_path: Path, cli: Cli) -> None:
     refused = cli("sphere-train", "--run", "box.vorolight", "--polygon-share", 0.2, cwd=tmp_path)
     assert refused.returncode == 2
     assert "add --faces polygon" in refused.stderr
+
+
+def test_no_polygon_at_all_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing conforms, the triangles are what is written, not in silence."""
+    from vorolight.stages import classify, init, pipeline, sphere_train, standing
+    from vorolight.stages.artifacts.run_folder import RunFolder
+    from vorolight.stages.optimize import polygons
+    from vorolight.stages.sources.resolve import identify
+
+    monkeypatch.setattr(polygons, "ROUNDS", 1)
+    session = standing.Session(RunFolder(tmp_path / "run"), identify("sphere"))
+    pipeline.execute(session, "classify", classify.Params(n_init=6))
+    pipeline.execute(session, "init", init.Params(iterations=0))
+    done = pipeline.execute(session, "sphere-train", sphere_train.Params(faces="polygon"))
+    assert any("all faces are triangles" in text for text in done.manifest["warnings"])
+    assert done.manifest["metrics"]["certificate"]["holds"]

@@ -29,9 +29,6 @@ class _Itself:
     def closest(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
         return self._closest(points, normals)
 
-    def inside(self, points: Floats) -> NDArray[np.bool_]:
-        raise NotImplementedError  # remeshing does not ask
-
 
 def even_cells(surface: PolygonMesh, size: float, threads: int) -> PolygonMesh:
     """Polygons about ``size`` across on ``surface``, three at every corner: the dual of triangles

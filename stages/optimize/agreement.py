@@ -78,7 +78,7 @@ def agreeing(polygons: Polygons, free: NDArray[np.bool_], close: float) -> Polyg
     unit = np.repeat(np.where(free, state.lengths, 0.0), 4)
     solved = np.ones(polygons.faces.face_count, dtype=bool)
     held = np.ones(len(length), dtype=bool)
-    columns, narrow = np.zeros(0, np.int64), planes.columns.reshape(-1)
+    narrow = planes.columns.reshape(-1)
     for number in range(NEWTON):
         height, power, share, pairs = incidence(state, corners)
         agreement, aside = np.stack([height / size, power / size**2]), planes.heights(state.centres)

@@ -21,7 +21,7 @@ from ..surface.polygons import Floats, Ints
 from .least_squares import Block, GaussNewton
 
 if TYPE_CHECKING:
-    from ..sources.true_surface import TrueSurface
+    from ..sources.true_surface import NearSurface
 
 VERTEX, EDGE, MIDDLE = 3 / 60, 8 / 60, 27 / 60
 """Weights of corners, edge midpoints and centroid in a quadrature that is exact for cubics."""
@@ -62,7 +62,7 @@ class Rows:
         return self.weights[:, :, None] * self.direction[:, None, :]
 
 
-def forward(surface: TrueSurface, vertices: Floats, triangles: Ints) -> Rows:
+def forward(surface: NearSurface, vertices: Floats, triangles: Ints) -> Rows:
     """Vertices, edge midpoints and centroids, and the closest points of the true surface."""
     table = EdgeTable.of(triangles)
     normal, area = triangle_normals(vertices, triangles)
@@ -95,7 +95,7 @@ def forward(surface: TrueSurface, vertices: Floats, triangles: Ints) -> Rows:
     return Rows(corners, weights, direction, offset, share / share.sum())
 
 
-def backward(surface: TrueSurface, vertices: Floats, triangles: Ints) -> Rows:
+def backward(surface: NearSurface, vertices: Floats, triangles: Ints) -> Rows:
     """The closest points on the triangles of the samples of the true surface."""
     points, normals = surface.samples, surface.normals
     triangle, place = _closest(points, normals, vertices, triangles)
@@ -158,7 +158,7 @@ def _closest(
     return triangle, place
 
 
-def vertex_errors(surface: TrueSurface, vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+def vertex_errors(surface: NearSurface, vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
     """Of samples on the triangles around each vertex and those of the true surface, the mean
     squared distance and the largest, ``(V,)`` each."""
     total, share, largest = (np.zeros(len(vertices)) for _ in range(3))
@@ -174,7 +174,7 @@ def vertex_errors(surface: TrueSurface, vertices: Floats, triangles: Ints) -> tu
     return total / np.maximum(share, np.finfo(float).tiny), largest
 
 
-def fit(mesh: Sized, surface: TrueSurface, where: NDArray[np.bool_] | None = None) -> None:
+def fit(mesh: Sized, surface: NearSurface, where: NDArray[np.bool_] | None = None) -> None:
     """Move the vertices, or those ``where (V,)``, to where the squared distances, both ways, are
     least; those on creases stay."""
     blocks = []

@@ -32,8 +32,8 @@ AT_REST = 1e-7
 """Movement in a round below which a projection is done, in units of h0."""
 
 
-class TrueSurface(Protocol):
-    """What generators are mirrored in and vertices are drawn to. Lengths in units of h0."""
+class NearSurface(Protocol):
+    """What vertices are drawn to."""
 
     samples: Floats
     normals: Floats
@@ -45,6 +45,10 @@ class TrueSurface(Protocol):
         With ``normals (N, 3)`` only points whose normal does not oppose them, where there are any.
         """
         ...
+
+
+class TrueSurface(NearSurface, Protocol):
+    """What generators are mirrored in too. Lengths in units of h0."""
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
         """Whether each of ``points (N, 3)`` is inside."""

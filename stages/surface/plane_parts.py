@@ -12,7 +12,7 @@ from .geometry import triangle_normals
 from .polygons import Floats, Ints
 
 if TYPE_CHECKING:
-    from ..sources.true_surface import TrueSurface
+    from ..sources.true_surface import NearSurface
 
 FLAT = 1e-3
 """Sine of the angle between normals, and height over the edge length, up to which two triangles are
@@ -42,7 +42,7 @@ class PlaneParts:
         return np.where(least == most, most, -1)
 
 
-def plane_parts(mesh: Sized, table: EdgeTable, surface: TrueSurface, lengths: Floats) -> PlaneParts:
+def plane_parts(mesh: Sized, table: EdgeTable, surface: NearSurface, lengths: Floats) -> PlaneParts:
     """The plane parts, by the closest points of the triangles' middles and the normals there.
 
     ``lengths (T,)``: the edge length at each triangle. Creases bound the parts.

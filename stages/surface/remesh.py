@@ -28,7 +28,7 @@ from .polygons import Floats, Ints
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..sources.true_surface import TrueSurface
+    from ..sources.true_surface import NearSurface
 
     Length = Callable[[Floats], Floats]
 
@@ -58,7 +58,7 @@ and the fold is an accident."""
 
 
 def remesh(
-    mesh: Sized, length: Length, surface: TrueSurface, creases: Creases | None = None,
+    mesh: Sized, length: Length, surface: NearSurface, creases: Creases | None = None,
     iterations: int = 12, embedded: int = EMBEDDED,
 ) -> int:  # fmt: skip
     """Triangulate the same closed surface with edges about ``length(points)`` long, fitted to
@@ -117,7 +117,7 @@ def thin_out(mesh: Sized, length: Length) -> None:
         embedded(lambda trial, at: contract_short(trial, where=at, to_ends=True), mesh, everywhere)
 
 
-def divide(mesh: Sized, length: Length, surface: TrueSurface) -> None:
+def divide(mesh: Sized, length: Length, surface: NearSurface) -> None:
     """Halve edges until none is longer than its target, with flips in between: long triangles of an
     input would else become many thin ones. Every vertex stays where it is."""
     mesh.length = length(mesh.vertices)
@@ -165,7 +165,7 @@ def smooth_only(gain: Gain) -> Gain:
     return value
 
 
-def keeping(surface: TrueSurface, gain: Gain) -> Gain:
+def keeping(surface: NearSurface, gain: Gain) -> Gain:
     """``gain`` where a flip does not take the edge off the true surface."""
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:
@@ -178,7 +178,7 @@ def keeping(surface: TrueSurface, gain: Gain) -> Gain:
     return value
 
 
-def nearer_gain(surface: TrueSurface) -> Gain:
+def nearer_gain(surface: NearSurface) -> Gain:
     """By how much a flip of an edge, at a crease before or after, brings it to the true surface."""
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:
@@ -193,7 +193,7 @@ def nearer_gain(surface: TrueSurface) -> Gain:
 
 
 def _middles(
-    mesh: Sized, table: EdgeTable, row: Ints, surface: TrueSurface
+    mesh: Sized, table: EdgeTable, row: Ints, surface: NearSurface
 ) -> tuple[Floats, Floats]:
     """Distances of the middles of edges ``row`` to the true surface, now and after their flip."""
     if len(row) == 0:
@@ -209,7 +209,7 @@ def _middles(
     return distance[: len(row)], distance[len(row) :]
 
 
-def astray(mesh: Sized, surface: TrueSurface) -> NDArray[np.bool_]:
+def astray(mesh: Sized, surface: NearSurface) -> NDArray[np.bool_]:
     """Triangles ``(T,)`` at a folded edge that the true surface does not have."""
     table = EdgeTable.of(mesh.triangles)
     found = np.zeros(len(mesh.triangles), dtype=bool)
@@ -224,7 +224,7 @@ def astray(mesh: Sized, surface: TrueSurface) -> NDArray[np.bool_]:
     return found
 
 
-def unfold(mesh: Sized, surface: TrueSurface, rounds: int = 5) -> None:
+def unfold(mesh: Sized, surface: NearSurface, rounds: int = 5) -> None:
     """Undo folds that the true surface does not have: by flips, then by moving the vertices to the
     mean of their neighbours, where no triangles cross then."""
     for _ in range(rounds):
