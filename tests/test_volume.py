@@ -261,3 +261,13 @@ def test_a_degenerate_surface_without_certificate_bounds_cells() -> None:
     # A surface that is not that interface is not taken for it.
     moved = cleaned.mesh.with_vertices(cleaned.mesh.vertices * 1.001)
     assert Boundary.cleaned(raw, guard.inside, cleaned, moved, 1e-6) is None
+
+
+def test_more_inner_generators_than_the_surface_has(tmp_path: Path, cli: Cli) -> None:
+    """Without a certificate; what is added inside has negative numbers, down to their count."""
+    words = ["-n", 5, "--init-iterations", 0, "--preset", "paper", "--faces", "polygon",
+             "--sphere-train-iterations", 5, "--cvt-iterations", 1]  # fmt: skip
+    done = cli("run", "sphere", *words, "--until", "volume", "--inner", 1200, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "no certificate" in done.stderr
+    assert "0 faces of the surface have other corners" not in done.stderr
