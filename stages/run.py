@@ -226,7 +226,7 @@ def _written(shape: Any, folder: Path, kind: str | None) -> Identity:
 
 
 def _as_mesh(shape: Any) -> PolygonMesh | None:
-    """The polygons of a mesh of another library, or of ``(vertices, faces)``; None if it is none."""
+    """The polygons of a mesh of another library, or of ``(vertices, faces)``, if it is one."""
     from .surface.polygons import PolygonMesh
 
     if isinstance(shape, PolygonMesh):

@@ -246,7 +246,9 @@ def _run_command() -> None:
         for name in stages_until(until, "" if source is None else source.kind):
             if first is not None:
                 common.console.say(f"{name}: would run ({first} changed)")
-                common.console.data({"stage": name, "would_run": True, "reason": f"{first} changed"})
+                common.console.data(
+                    {"stage": name, "would_run": True, "reason": f"{first} changed"}
+                )
                 continue
             ran = _execute(common, name, planned[name])
             # What nothing else reads makes nothing else stale.

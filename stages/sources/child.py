@@ -1,5 +1,5 @@
-"""Work on arrays by a module that runs as a process of its own: what may crash, take for ever, or is
-under the GPL."""
+"""Work on arrays by a module that runs as a process of its own: what may crash, take very long, or
+is under the GPL."""
 
 from __future__ import annotations
 
