@@ -358,8 +358,8 @@ class MeshSource(TriangleSource):
             )
         if self.united is not None and self.united.folded:
             said.append(
-                f"{self.united.folded} closed parts of the mesh cross themselves: the surface of "
-                "what they enclose is taken"
+                f"closed parts of the mesh that cross themselves: {self.united.folded}; the "
+                "surface of what they enclose is taken"
             )
         if self.united is not None and self.united.buried:
             taken = (
