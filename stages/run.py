@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .artifacts.manifest import Manifest
     from .surface.polygons import Floats, PolygonMesh
     from .voronoi.cells import PolyhedralMesh
+    from .voronoi.trained_surface import TrainedSurface
 
 Callback = Callable[[str, str, float], bool | None]
 """Called with the stage, what it does now, and the share of that which is done. False stops it."""
@@ -88,6 +89,15 @@ class Run:
         if self._latest == "init":
             return arrays["generators"][inside], arrays["generators"][outside]
         return arrays["generators/inside"][inside], arrays["generators/outside"][outside]
+
+    @cached_property
+    def trained(self) -> TrainedSurface:
+        """Spheres, polygons and pairs of generators of stage sphere-train, in the units of the
+        input. Raises ArtifactError if it is not done."""
+        from .surface.model_frame import ModelFrame
+        from .voronoi.trained_surface import TrainedSurface
+
+        return TrainedSurface.stored(self.arrays("sphere-train"), ModelFrame(np.zeros(3), 1.0))
 
     @cached_property
     def cells(self) -> PolyhedralMesh:

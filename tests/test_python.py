@@ -38,6 +38,11 @@ def test_a_run_gives_objects(ball: Run) -> None:
     corner = ball.surface.vertices[ball.surface.face_vertices[ball.surface.face_offsets[:-1]]]
     arms = [np.linalg.norm(corner - points, axis=1) for points in (inside, outside)]
     assert np.abs(arms[0] - arms[1]).max() < 1e-9
+    # Every generator of a face lies on the spheres of its corners.
+    trained = ball.trained
+    face, corner = trained.polygons.corner_faces, trained.polygons.face_vertices
+    arm = trained.inside[face] - trained.polygons.vertices[corner]
+    assert np.abs(np.linalg.norm(arm, axis=1) - trained.radii[corner]).max() < 1e-9
     assert ball.cells.cell_count == ball.metrics["volume"]["cells"]
     assert set(ball.warnings) == {"classify", "init", "sphere-train", "volume"}
 

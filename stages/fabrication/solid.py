@@ -30,6 +30,8 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
     import igl
     from manifold3d import Manifold, Mesh64
 
+    from ..surface.triangle_tree import TriangleTree
+
     solid = solid_of(surface)
     vertices, triangles, _ = fan_triangles(surface)
     longest = float(np.ptp(vertices, axis=0).max())
@@ -47,7 +49,7 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
     hollow = Manifold(Mesh64(inner, faces.astype(np.uint64)))
     if hollow.status().name != "NoError":
         raise NumericalFailure(f"the inner side of the shell is no solid ({hollow.status().name})")
-    square = igl.point_mesh_squared_distance(inner, vertices, triangles)[0]
+    square, _, _ = TriangleTree(vertices, triangles).closest(inner)
     return solid - hollow, np.sqrt(square)
 
 

@@ -205,7 +205,7 @@ def without_walls(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
 
 def _seen(vertices: Floats, triangles: Ints, asked: Ints) -> NDArray[np.bool_]:
     """Which triangles ``asked (K,)`` some ray from one of their sides leaves the surface."""
-    tree, at, corners, normals = searched(vertices, triangles)
+    tree, normals = searched(vertices, triangles)
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     seen = np.zeros(len(asked), dtype=bool)
     golden = np.pi * (1 + 5**0.5)
@@ -218,10 +218,10 @@ def _seen(vertices: Floats, triangles: Ints, asked: Ints) -> NDArray[np.bool_]:
         # From the side that the direction leaves from, near the middle and near each corner.
         facing = np.where((facing @ way < 0)[:, None], -facing, facing)
         for weights in (np.full(3, 1 / 3), *(np.eye(3) * 0.85 + 0.05)):
-            start = np.einsum("k,nkj->nj", weights, at[corners[asked[left]]]) + OFF * size * facing
-            ways = np.ascontiguousarray(np.broadcast_to(way, start.shape))
-            hit = tree.intersect_ray_first(at, corners, np.ascontiguousarray(start), ways)[0]
-            seen[left[hit < 0]] = True
+            corners = vertices[triangles[asked[left]]]
+            start = np.einsum("k,nkj->nj", weights, corners) + OFF * size * facing
+            reach, _ = tree.first_met(start, np.broadcast_to(way, start.shape))
+            seen[left[np.isinf(reach)]] = True
     return seen
 
 
