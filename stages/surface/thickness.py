@@ -34,10 +34,9 @@ RIM = 2.2
 def across(
     tree: TriangleTree, normals: Floats, points: Floats, facing: Floats
 ) -> tuple[Floats, Floats]:
-    """Distances ``(2, S)`` from ``points (S, 3)`` of the surface of a ``tree``, whose triangles have
-    ``normals (T, 3)`` and which is ``facing (S, 3)`` there, to
-    the opposite sheet, through the shape and through the gap outside, infinity where there is none;
-    and the cosines of the two normals."""
+    """Distances ``(2, S)`` from ``points (S, 3)`` of a surface to the opposite sheet, through the
+    shape and through the gap outside, infinity where there is none; and the cosines of the two
+    normals. The triangles of ``tree`` have ``normals (T, 3)``, the points ``facing (S, 3)``."""
     distance, cosine = np.full((2, len(points)), np.inf), np.ones((2, len(points)))
     for row, sign in enumerate((-1.0, 1.0)):
         way = sign * facing

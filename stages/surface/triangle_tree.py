@@ -82,8 +82,8 @@ class TriangleTree:
 
 @compiled
 def _arrange(order: Ints, middle: Floats, leaves: int) -> None:
-    """Sort ``order (T,)`` so that the triangles under each node follow each other; ``middle (T, 3)``
-    is twice the middle of their boxes."""
+    """Sort ``order (T,)``: triangles under a node follow each other; ``middle (T, 3)`` is
+    twice the middle of their boxes."""
     count = len(order)
     for node in range(1, leaves):
         depth = 0
