@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from . import contract
-from .contract import Context, Outcome, Positive, Range, Short, Stage
-from .errors import UsageError
+from .contract import MAX_FACES, Context, Outcome, Positive, Range, Short, Stage
+from .errors import InputError, UsageError
 from .memory import peak
+from .sphere_params import DEFAULTS
 
 if TYPE_CHECKING:
+    from .sources.effort import Effort
     from .sources.images import ViewSource
 
 
@@ -45,8 +47,11 @@ class Params(contract.Params):
     """Distance, in the input's units, within which vertices of a mesh's open edges are one; 0: only
     those at the same place. By default as near as single precision tells them apart."""
     allow_poor_input: bool = False
-    """Go on with a mesh most of whose edges are open and whose inside is in doubt. With --thickness
-    it is a sheet, and nothing is asked."""
+    """Go on with a mesh most of whose edges are open and whose inside is in doubt, and with a shape
+    so thin that its surface needs more than 400,000 triangles. With --thickness a mesh is a sheet,
+    whatever its edges are."""
+    max_time: Annotated[float, Range(0)] | None = None
+    """Refuse a shape whose run up to the surface would take about more CPU seconds than this."""
     shells: Literal["union", "alternate"] = "union"
     """Of closed parts of a mesh within each other that all face outward: union takes them as one
     solid, alternate each second one as a hollow."""
@@ -60,6 +65,7 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .sources import voxels
+    from .sources.effort import effort
     from .sources.fields import FieldSource
     from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
@@ -97,8 +103,6 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--weld: the input is a {source.kind}; only a mesh has vertices to weld")
     elif params.shells != "union":
         raise UsageError(f"--shells: the input is a {source.kind}; only a mesh has shells")
-    elif params.allow_poor_input:
-        raise UsageError(f"--allow-poor-input: the input is a {source.kind}, not a mesh")
     elif params.repair:
         raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
     context.progress.start("classify", 2 * voxels.ROUNDS)
@@ -112,6 +116,8 @@ def run(context: Context) -> Outcome:
     grid = voxels.classify(source, params.n_init, context.random, tick)
     low, high = source.bounding_box()
     thin = thin_parts(source, grid, context.threads)
+    needed = effort(source, grid, DEFAULTS["triangle"]["edge_length"])
+    _check_effort(needed, params, str(source.path or source.name))
     return Outcome(
         arrays={
             "origin": grid.origin,
@@ -126,6 +132,7 @@ def run(context: Context) -> Outcome:
             "interior_voxels": int(grid.interior.sum()),
             "exterior_voxels": int(grid.exterior.sum()),
             "thin_parts": vars(thin),
+            "effort": needed.facts(),
         },
         warnings=source.warnings() + [said for said in [thin.warning()] if said],
         frame={
@@ -134,6 +141,19 @@ def run(context: Context) -> Outcome:
             "bounding_box": [low.tolist(), high.tolist()],
         },
     )
+
+
+def _check_effort(needed: Effort, params: Params, name: str) -> None:
+    """Raise InputError where there would be too many triangles, or it would take too long."""
+    refused = needed.refusal(MAX_FACES)
+    if refused is not None and not params.allow_poor_input:
+        raise InputError(f"{name}: {refused}")
+    if params.max_time is not None and needed.cpu_seconds > params.max_time:
+        raise InputError(
+            f"{name}: the run up to the surface takes about {needed.cpu_seconds:.0f} CPU seconds "
+            f"for {needed.triangles:,} triangles, --max-time is {params.max_time:g}: raise it, or "
+            "lower -n"
+        )
 
 
 def _fit(source: ViewSource, context: Context) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from . import contract
-from .contract import Positive, Range, Share
+from .contract import MAX_FACES, Positive, Range, Share
 from .errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Params(contract.Params):
     faces_target: Annotated[int, Range(100, 10_000_000)] | None = None
     """How many triangles there are to be, within 5 %; with --refine the most. Polygons are merged
     of so many."""
-    max_faces: Annotated[int, Range(100, 100_000_000)] = 400_000
+    max_faces: Annotated[int, Range(100, 100_000_000)] = MAX_FACES
     """The most triangles that thin parts and gaps may ask for; a shape that needs more is refused
     before the training."""
     allow_uncertified: bool = False

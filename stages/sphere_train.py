@@ -29,10 +29,10 @@ SMALLEST_OFFSET = 0.05
 
 def run(context: Context) -> Outcome:
     """Spheres and pairs of generators (the paper's sections 3.3 and 3.4), then the surface."""
-    torch_start.start(context.threads)
-    if context.params.by_adam:
-        return _as_in_the_paper(context)
-    return _conforming(context)
+    # Formulas are differentiated by torch, which is large.
+    if context.params.by_adam or context.source().kind == "field":
+        torch_start.start(context.threads)
+    return _as_in_the_paper(context) if context.params.by_adam else _conforming(context)
 
 
 def _on_cpu(context: Context) -> list[str]:
