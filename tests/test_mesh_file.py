@@ -93,9 +93,9 @@ def test_concave_faces_are_triangulated(turned: bool, tmp_path: Path) -> None:
 
 
 def test_packed_files_are_to_be_unpacked(tmp_path: Path) -> None:
-    (tmp_path / "ball.stl.gz").write_bytes(b"\x1f\x8b")
+    (tmp_path / "ball.stl.xz").write_bytes(b"\xfd7zXZ\0")
     with pytest.raises(InputError, match="is packed; unpack it"):
-        MeshSource(tmp_path / "ball.stl.gz")
+        MeshSource(tmp_path / "ball.stl.xz")
 
 
 def test_formats_of_trimesh_are_read(tmp_path: Path) -> None:

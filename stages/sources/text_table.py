@@ -78,7 +78,7 @@ def read(raw: bytes, columns: str | None = None) -> Table:
 
     Raises ValueError with what is wrong, in which line.
     """
-    lines = _text(raw).splitlines()
+    lines = text_of(raw).splitlines()
     kept: list[tuple[int, str]] = []
     heads: list[str] = []
     for number, line in enumerate(lines, 1):
@@ -111,7 +111,7 @@ def are_normals(vectors: Floats) -> bool:
     return len(length) > 0 and bool((np.abs(length - 1) < UNIT).mean() > UNIT_SHARE)
 
 
-def _text(raw: bytes) -> str:
+def text_of(raw: bytes) -> str:
     for mark, coding in (
         (b"\xff\xfe", "utf-16"),
         (b"\xfe\xff", "utf-16"),
