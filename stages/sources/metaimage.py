@@ -89,7 +89,10 @@ def _header(raw: bytes) -> tuple[dict[str, str], list[str], int]:
         if words[1:] not in ([], ["2D"]):
             raise ValueError(f"its data lie in files as {place}, which is not read")
         listed = raw[at:HEADER].decode("utf-8", errors="replace").splitlines()
-        return fields, [name.strip() for name in listed if name.strip()], at
+        names = [name.strip() for name in listed if name.strip()]
+        if not names:
+            raise ValueError("its LIST has no names of files")
+        return fields, names, at
     if "%" in place and len(words) in (3, 4):
         first, last, step = (int(word) for word in [*words[1:], "1"][:3])
         return fields, detached.numbered(words[0], first, last, step), at

@@ -92,6 +92,8 @@ def _header(raw: bytes) -> tuple[Any, list[str], bytes]:
     if listed:
         names = head[listed.end() :].decode("utf-8", errors="replace").split("\n")
         names = [name.strip() for name in names if name.strip()]
+        if not names:
+            raise ValueError("its LIST has no names of files")
         head = head[: listed.start()]
     header: Any = nrrd.read_header(iter((head + b"\n").splitlines(True)))
     place = str(header.get("data file", header.get("datafile", "")))
