@@ -67,6 +67,18 @@ def refusal(raw: bytes) -> str | None:
     return None
 
 
+def resolver(path: Path) -> Any:
+    """What gives trimesh the files beside the one at ``path``, whose names are parts of addresses:
+    a blank is %20 there."""
+    from trimesh.resolvers import FilePathResolver
+
+    class Unquoted(FilePathResolver):  # type: ignore[misc]
+        def get(self, name: str) -> bytes:
+            return bytes(super().get(unquote(name)))
+
+    return Unquoted(path)
+
+
 def files_beside(path: Path) -> list[Path]:
     """The files that hold the buffers of the scene at ``path``, as far as its header can be read.
 

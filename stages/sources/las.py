@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,10 @@ def read(path: Path) -> Table:
             raise BackendMissing(f"{path}: " + MISSING.format("LAS and LAZ", name))
     import laspy
 
+    # What laspy logs is said below.
+    logging.getLogger("laspy").setLevel(logging.CRITICAL)
     source: Any = io.BytesIO(packed.content(path)) if packed.is_packed(path) else path
-    found, count = [np.zeros((0, 3))], 0
+    found, count, there = [np.zeros((0, 3))], 0, 0
     try:
         with laspy.open(source) as file:
             count = file.header.point_count
@@ -44,6 +47,9 @@ def read(path: Path) -> Table:
             for chunk in file.chunk_iterator(CHUNK):
                 points = np.stack([np.asarray(chunk[axis]) for axis in "xyz"], axis=1)
                 found.append(points[_kept(chunk)])
+                there += len(points)
+        if there < count:
+            raise ValueError(f"it ends early: {there} of {count} points are there")
     # laspy raises whatever the damaged bytes lead it to, and lazrs errors that are no exceptions
     # of Python's.
     except Exception as error:

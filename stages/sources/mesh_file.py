@@ -131,10 +131,11 @@ def _read_trimesh(path: Path) -> PolygonMesh:
             "3MF, points to PLY, LAS or CSV, samples on a grid to NRRD, NIfTI, VTI or NPY"
         )
     try:
-        if packed.is_packed(path):
-            beside = trimesh.resolvers.FilePathResolver(path)
+        if suffix in gltf.ENDINGS or packed.is_packed(path):
             file, kind = io.BytesIO(packed.content(path)), suffix.lstrip(".")
-            scene = trimesh.load_scene(file, file_type=kind, resolver=beside, process=False)
+            scene = trimesh.load_scene(
+                file, file_type=kind, resolver=gltf.resolver(path), process=False
+            )
         else:
             scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()
