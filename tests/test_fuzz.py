@@ -260,6 +260,6 @@ def test_a_few_damaged_files(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_many_damaged_files(tmp_path: Path) -> None:
-    found = _opened(tmp_path, 150)
+    found = _opened(tmp_path, 60)
     assert int(str(found["cases"])) >= 2000
     _check(found)

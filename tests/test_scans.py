@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import laspy
@@ -12,7 +15,9 @@ import pytest
 from conftest import Cli, fibonacci, random_rotation
 
 from vorolight.stages.errors import BackendMissing, InputError
-from vorolight.stages.sources import arrays_file, cloud_file
+from vorolight.stages.sources import cloud_file, scan_child
+from vorolight.stages.sources import e57 as e57_module
+from vorolight.stages.sources import las as las_module
 from vorolight.stages.sources.points import PointSource
 from vorolight.stages.sources.resolve import identify, kind_of
 
@@ -141,13 +146,33 @@ def test_poses_and_invalid_points_of_an_e57(tmp_path: Path) -> None:
 
 def test_too_many_points_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     paths = [las(tmp_path / "a.laz", POINTS + FAR), e57(tmp_path / "a.e57", POINTS, 0, FAR)]
-    for module in ("las", "e57"):
-        name = f"vorolight.stages.sources.{module}.LARGEST"
-        monkeypatch.setattr(name, 3 * 2999)
-    for path in paths:
-        with pytest.raises(InputError, match="3000 points are more than 2999; thin them"):
+    for module, path in zip((las_module, e57_module), paths, strict=True):
+        monkeypatch.setattr(module, "LARGEST", 3 * 2999)
+        with pytest.raises(ValueError, match="3000 points are more than 2999; thin them"):
+            module.points(path)
+    raw = bytearray(paths[0].read_bytes())
+    raw[247:255] = struct.pack("<Q", 40_000_000)
+    paths[0].write_bytes(raw)
+    with pytest.raises(InputError, match="its header promises 40000000 points"):
+        cloud_file.load(paths[0])
+
+
+def test_a_library_that_ends_its_process_or_takes_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = las(tmp_path / "a.laz", POINTS + FAR)
+    run = subprocess.run
+
+    def ended(command: list[str], **options: object) -> object:
+        return run([sys.executable, "-c", "import os; os.abort()"], **options)  # type: ignore[call-overload]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(scan_child.subprocess, "run", ended)
+        with pytest.raises(InputError, match="lazrs ended with -6; it is damaged"):
             cloud_file.load(path)
-    assert arrays_file.LARGEST == 512**3
+    monkeypatch.setattr(scan_child, "SECONDS", 0.01)
+    with pytest.raises(InputError, match=r"took longer than 0.01 s; thin the points"):
+        cloud_file.load(path)
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import BackendMissing
-from . import packed
+from ..surface.polygons import Floats
+from . import scan_child
 from .arrays_file import LARGEST
-from .las import MISSING
 from .text_table import Table
 
 
@@ -20,42 +17,29 @@ def read(path: Path) -> Table:
 
     Raises BackendMissing without pye57, ValueError for damaged files.
     """
-    if importlib.util.find_spec("pye57") is None:
-        raise BackendMissing(f"{path}: " + MISSING.format("E57", "pye57"))
-    if not packed.is_packed(path):
-        return _scans(path)
-    # pye57 reads files only.
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "scan.e57"
-        place.write_bytes(packed.content(path))
-        return _scans(place)
+    return scan_child.read(path, "e57", ("pye57",))
 
 
-def _scans(path: Path) -> Table:
+def points(path: Path) -> tuple[Floats, str]:
+    """What ``read`` finds, ``(N, 3)``, and what is to be said of it, in the child process.
+
+    Raises whatever pye57 does at damaged files.
+    """
     import pye57
 
-    found, total = [np.zeros((0, 3))], 0
-    try:
-        file = pye57.E57(str(path))
-        try:
-            counts = [int(file.get_header(k).point_count) for k in range(file.scan_count)]
-            total = sum(counts)
-            if total > LARGEST // 3:
-                raise ValueError(f"{total} points are more than {LARGEST // 3}; thin them")
-            for k, count in enumerate(counts):
-                if count:
-                    scan = file.read_scan(k, ignore_missing_fields=True)
-                    axes = [scan[f"cartesian{axis}"] for axis in "XYZ"]
-                    found.append(np.stack(axes, axis=1).astype(np.float64))
-        finally:
-            file.close()
-    # pye57 raises whatever the damaged bytes lead it to, and hides it behind errors of its own.
-    except Exception as error:
-        first: BaseException = error
-        while first.__context__ is not None:
-            first = first.__context__
-        raise ValueError(str(first) or type(first).__name__) from error
-    points = np.concatenate(found)
-    left_out = total - len(points)
+    found = [np.zeros((0, 3))]
+    file = pye57.E57(str(path))
+    counts = [int(file.get_header(k).point_count) for k in range(file.scan_count)]
+    total = sum(counts)
+    if total > LARGEST // 3:
+        raise ValueError(f"{total} points are more than {LARGEST // 3}; thin them")
+    for k, count in enumerate(counts):
+        if count:
+            scan = file.read_scan(k, ignore_missing_fields=True)
+            axes = [scan[f"cartesian{axis}"] for axis in "XYZ"]
+            found.append(np.stack(axes, axis=1).astype(np.float64))
+    file.close()
+    kept = np.concatenate(found)
+    left_out = total - len(kept)
     note = f"{left_out} points are left out: they are marked as invalid" if left_out else ""
-    return Table(points, None, note)
+    return kept, note

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import logging
 from pathlib import Path
 from typing import Any
@@ -11,17 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import BackendMissing
-from . import packed
+from ..surface.polygons import Floats
+from . import scan_child
 from .arrays_file import LARGEST
 from .text_table import Table
 
 ENDINGS = (".las", ".laz")
 CHUNK = 1_000_000
 """Points that are unpacked at a time."""
+DENSEST = 8
+"""Points a byte, of which files have one at the most: more are a damaged count."""
 NOISE = (7, 18)
 """Classes of points that whoever made the file took for noise."""
-MISSING = "{} is read by {}, which is not installed: pip install 'vorolight[scans]'"
 
 
 def read(path: Path) -> Table:
@@ -30,34 +29,35 @@ def read(path: Path) -> Table:
 
     Raises BackendMissing without laspy or lazrs, ValueError for damaged files.
     """
-    for name in ("laspy", "lazrs"):
-        if importlib.util.find_spec(name) is None:
-            raise BackendMissing(f"{path}: " + MISSING.format("LAS and LAZ", name))
+    return scan_child.read(path, "las", ("laspy", "lazrs"))
+
+
+def points(path: Path) -> tuple[Floats, str]:
+    """What ``read`` finds, ``(N, 3)``, and what is to be said of it, in the child process.
+
+    Raises whatever laspy and lazrs do at damaged files.
+    """
     import laspy
 
-    # What laspy logs is said below.
+    # What it logs is said below.
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
-    source: Any = io.BytesIO(packed.content(path)) if packed.is_packed(path) else path
-    found, count, there = [np.zeros((0, 3))], 0, 0
-    try:
-        with laspy.open(source) as file:
-            count = file.header.point_count
-            if count > LARGEST // 3:
-                raise ValueError(f"{count} points are more than {LARGEST // 3}; thin them")
-            for chunk in file.chunk_iterator(CHUNK):
-                points = np.stack([np.asarray(chunk[axis]) for axis in "xyz"], axis=1)
-                found.append(points[_kept(chunk)])
-                there += len(points)
-        if there < count:
-            raise ValueError(f"it ends early: {there} of {count} points are there")
-    # laspy raises whatever the damaged bytes lead it to, and lazrs errors that are no exceptions
-    # of Python's.
-    except Exception as error:
-        raise ValueError(str(error) or type(error).__name__) from error
-    points = np.concatenate(found)
-    left_out = count - len(points)
+    found, there = [np.zeros((0, 3))], 0
+    with laspy.open(path) as file:
+        count = int(file.header.point_count)
+        if count > LARGEST // 3:
+            raise ValueError(f"{count} points are more than {LARGEST // 3}; thin them")
+        if count > DENSEST * path.stat().st_size:
+            raise ValueError(f"its header promises {count} points, more than it has room for")
+        for chunk in file.chunk_iterator(CHUNK):
+            at = np.stack([np.asarray(chunk[axis]) for axis in "xyz"], axis=1)
+            found.append(at[_kept(chunk)])
+            there += len(at)
+    if there < count:
+        raise ValueError(f"it ends early: {there} of {count} points are there")
+    kept = np.concatenate(found)
+    left_out = there - len(kept)
     note = f"{left_out} points are left out: withheld, or classified as noise" if left_out else ""
-    return Table(points, None, note)
+    return kept, note
 
 
 def _kept(chunk: Any) -> NDArray[np.bool_]:
