@@ -155,6 +155,14 @@ def test_too_many_points_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     paths[0].write_bytes(raw)
     with pytest.raises(InputError, match="its header promises 40000000 points"):
         cloud_file.load(paths[0])
+    raw[100:104] = struct.pack("<I", 50_000_000)
+    paths[0].write_bytes(raw)
+    with pytest.raises(InputError, match="its header promises 50000000 records"):
+        cloud_file.load(paths[0])
+    raw[100:104], raw[243:247] = struct.pack("<I", 1), struct.pack("<I", 50_000_000)
+    paths[0].write_bytes(raw)
+    with pytest.raises(InputError, match="its header promises 50000001 records"):
+        cloud_file.load(paths[0])
 
 
 def test_a_library_that_ends_its_process_or_takes_long(

@@ -72,11 +72,11 @@ def resolver(path: Path) -> Any:
     a blank is %20 there."""
     from trimesh.resolvers import FilePathResolver
 
-    class Unquoted(FilePathResolver):  # type: ignore[misc]
+    class Unquoted(FilePathResolver):
         def get(self, name: str) -> bytes:
             return bytes(super().get(unquote(name)))
 
-    return Unquoted(path)
+    return Unquoted(str(path))
 
 
 def files_beside(path: Path) -> list[Path]:

@@ -49,7 +49,9 @@ class SampledField:
     def along(self) -> Floats | None:
         """What a point from the origin on is multiplied by, ``(3, 3)``, to have its place along
         each of the axes; None where these are those of space."""
-        return None if np.array_equal(self.axes, np.eye(3)) else np.linalg.inv(self.axes)
+        if np.array_equal(self.axes, np.eye(3)):
+            return None
+        return np.asarray(np.linalg.inv(self.axes), dtype=np.float64)
 
     def value_and_gradient(self, points: Floats) -> tuple[Floats, Floats]:
         """At ``points (N, 3)``: ``(N,)`` and ``(N, 3)``; 100 times faster than torch's."""

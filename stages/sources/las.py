@@ -19,6 +19,8 @@ CHUNK = 1_000_000
 """Points that are unpacked at a time."""
 DENSEST = 8
 """Points a byte, of which files have one at the most: more are a damaged count."""
+RECORD = 54
+"""Bytes of the shortest record of variable length."""
 NOISE = (7, 18)
 """Classes of points that whoever made the file took for noise."""
 
@@ -42,6 +44,7 @@ def points(path: Path) -> tuple[Floats, str]:
     # What it logs is said below.
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     found, there = [np.zeros((0, 3))], 0
+    _check_records(path)
     with laspy.open(path) as file:
         count = int(file.header.point_count)
         if count > LARGEST // 3:
@@ -58,6 +61,18 @@ def points(path: Path) -> tuple[Floats, str]:
     left_out = there - len(kept)
     note = f"{left_out} points are left out: withheld, or classified as noise" if left_out else ""
     return kept, note
+
+
+def _check_records(path: Path) -> None:
+    """Raise ValueError for a header that promises more records than the file has room for, which
+    laspy would make nevertheless."""
+    with path.open("rb") as file:
+        head = file.read(247)
+    records = int.from_bytes(head[100:104], "little")
+    if head[24:26] >= b"\x01\x04":
+        records += int.from_bytes(head[243:247], "little")
+    if records * RECORD > path.stat().st_size:
+        raise ValueError(f"its header promises {records} records, more than it has room for")
 
 
 def _kept(chunk: Any) -> NDArray[np.bool_]:

@@ -43,7 +43,8 @@ def read(path: Path) -> Samples:
         affine = np.asarray(image.affine, dtype=np.float64)
         if not (image.header["sform_code"] or image.header["qform_code"]):
             # nibabel mirrors x here, which the format does not ask for.
-            affine, notes = np.diag([*image.header.get_zooms()[:3], 1.0]), (PLACELESS,)
+            spacing = np.abs(np.asarray(image.header["pixdim"][1:4], dtype=np.float64))
+            affine, notes = np.diag([*spacing.tolist(), 1.0]), (PLACELESS,)
     # nibabel raises whatever the damaged bytes lead it to.
     except Exception as error:
         raise ValueError(str(error) or type(error).__name__) from error
