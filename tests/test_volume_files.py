@@ -315,11 +315,13 @@ NRRD = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 4 4 4\n"
         ("a.mha", MHA + "TransformMatrix = 1 0 0 1 0 0 0 0 1\nElementDataFile = LOCAL\n" + 64 * "a",
          "axes lie in one plane"),
         ("a.nhdr", NRRD + "encoding: raw\n", "names no file"),
+        ("a.nrrd", NRRD.replace("4 4 4", "4 nan 4") + "encoding: raw\n\n", "not a readable NRRD"),
         ("a.nhdr", NRRD + "encoding: raw\ndata file: gone.raw\n", "gone.raw, which is not there"),
         ("a.nhdr", NRRD + "encoding: gzip\nbyte skip: -1\ndata file: a.nhdr\n", "-1 bytes"),
         ("a.nii", "no volume", "not a readable NII"),
     ],
 )  # fmt: skip
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_bad_volumes(name: str, content: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_text(content)

@@ -70,8 +70,11 @@ def files_beside(path: Path) -> list[Path]:
     import nrrd
 
     try:
-        names = _header(packed.beginning(path, HEADER))[1]
-    except (ValueError, KeyError, IndexError, StopIteration, nrrd.NRRDError):
+        with np.errstate(all="ignore"):  # sizes that are no numbers are found where it is read
+            names = _header(packed.beginning(path, HEADER))[1]
+    except (
+        ValueError, KeyError, IndexError, TypeError, OverflowError, StopIteration, nrrd.NRRDError,
+    ):  # fmt: skip
         return []
     return [path.parent / name for name in names]
 
