@@ -23,7 +23,8 @@ Input = Annotated[
     str | None,
     typer.Argument(
         help="A mesh, a point cloud, views (a folder or transforms.json), or a field: heart, "
-        "sphere, torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz).",
+        "sphere, torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz, .nrrd, "
+        ".mha, .nii, .vti). Files may be packed (.gz).",
         autocompletion=completion.input_field,
     ),
 ]
