@@ -12,6 +12,7 @@ from PIL import Image
 
 from vorolight.stages.errors import InputError
 from vorolight.stages.sources import view_files, view_pictures
+from vorolight.stages.sources.silhouettes import Reading
 from vorolight.stages.sources.view_writer import write_views
 
 
@@ -57,3 +58,20 @@ def test_inverted_masks_are_named(views: Path) -> None:
     with_masks(views, lambda covered: np.where(covered, 0, 255).astype(np.uint8))
     with pytest.raises(InputError, match="they seem inverted"):
         view_pictures.load(view_files.read(views))
+
+
+@pytest.mark.parametrize("change", [lambda c: 255 * c, lambda c: c, lambda c: 65535 * c])
+def test_masks_may_be_inverted_by_an_option(
+    change: Callable[[np.ndarray], np.ndarray], views: Path
+) -> None:
+    expected = with_masks(views, lambda covered: change((~covered).astype(np.uint16)))
+    found = view_pictures.load(view_files.read(views), 1, Reading(inverted=True))
+    assert np.array_equal(found.masks >= 128, expected)
+
+
+def test_masks_of_any_colour_are_read(views: Path) -> None:
+    expected = with_masks(
+        views, lambda covered: covered[..., None].astype(np.uint8) * np.array([0, 0, 120], np.uint8)
+    )
+    found = view_pictures.load(view_files.read(views))
+    assert np.array_equal(found.masks >= 128, expected)
