@@ -152,10 +152,10 @@ def run(context: Context) -> Outcome:
 
 def _fit(source: ViewSource, context: Context) -> None:
     """Make the surface that stands for views, with a progress of its own."""
-    from .sources.view_fit import rounds
+    from .sources.view_fit import levels
 
-    _told(source, context)
-    context.progress.start("fit to the views", rounds())
+    rounds = sum(level.rounds for level in levels(_told(source, context).views))
+    context.progress.start("fit to the views", rounds)
     done = 0
 
     def tick() -> None:
@@ -197,7 +197,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="classify",
-    version=8,
+    version=9,
     params=Params,
     run=run,
     memory=_memory,

@@ -28,7 +28,7 @@ ROUNDS = 30
 not move the views which agree."""
 ROUNDING = 1e-3
 """Difference, of the object's size, from which on that is so."""
-MOST_PAIRS = 20_000
+MOST_PAIRS = 3_000
 CUT = 0.1
 """Cosine of a direction and that in which an object leaves the picture, above which it is not known
 how far it reaches."""
