@@ -41,6 +41,15 @@ class Params(contract.Params):
     negative is inside, of labels what is not zero."""
     mask_votes: Annotated[int, Range(0, 100)] = 0
     """Of views: how many masks may leave out what is inside, anywhere."""
+    background: str | None = None
+    """Of views whose pictures are opaque and have no masks: the colour that is taken out from their
+    edges on: auto, white, black, or red, green and blue as in 0,177,64. By default auto: what most
+    of a picture's edge has."""
+    enclosed: Literal["object", "background"] = "object"
+    """Of such views: what areas of the background's colour within the object are: parts of it, or
+    background, seen through openings."""
+    invert_masks: bool = False
+    """Of views whose masks or alpha have the object dark and what is around it bright."""
     repair: bool = False
     """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
     weld: Positive | None = None
@@ -88,6 +97,11 @@ def run(context: Context) -> Outcome:
         _fit(cast("ViewSource", source), context)
     elif params.mask_votes:
         raise UsageError(f"--mask-votes: the input is a {source.kind}; only views have masks")
+    elif params.invert_masks:
+        raise UsageError(f"--invert-masks: the input is a {source.kind}; only views have masks")
+    elif params.background is not None or params.enclosed != "object":
+        name = "enclosed" if params.background is None else "background"
+        raise UsageError(f"--{name}: the input is a {source.kind}; only views have a background")
     if isinstance(source, MeshSource):
         source.repair, source.reach = params.repair, params.weld
         source.hollow = params.shells == "alternate"
@@ -158,10 +172,10 @@ def _check_effort(needed: Effort, params: Params, name: str) -> None:
 
 def _fit(source: ViewSource, context: Context) -> None:
     """Make the surface that stands for views, with a progress of its own."""
-    from .sources.view_fit import rounds
+    from .sources.view_fit import levels
 
-    source.votes, source.threads = context.params.mask_votes, context.threads
-    context.progress.start("fit to the views", rounds())
+    rounds = sum(level.rounds for level in levels(_told(source, context).views))
+    context.progress.start("fit to the views", rounds)
     done = 0
 
     def tick() -> None:
@@ -174,6 +188,19 @@ def _fit(source: ViewSource, context: Context) -> None:
     context.progress.finish()
 
 
+def _told(source: ViewSource, context: Context) -> ViewSource:
+    """Views with the options on how to read them. Raises UsageError for no colour."""
+    from .sources.silhouettes import Reading, parse_background
+
+    params = context.params
+    source.votes, source.threads = params.mask_votes, context.threads
+    source.reading = Reading(
+        parse_background(params.background or "auto"), params.enclosed == "background",
+        params.invert_masks,
+    )  # fmt: skip
+    return source
+
+
 def _memory(context: Context) -> float:
     from .sources.points import PointSource
 
@@ -183,7 +210,8 @@ def _memory(context: Context) -> float:
         source.columns = context.params.columns
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
     if source.kind == "views":
-        return voxels + 450.0 + 2e-5 * cast("ViewSource", source).views.masks.size
+        seen = _told(cast("ViewSource", source), context)
+        return voxels + 450.0 + 2e-5 * seen.views.masks.size
     return voxels
 
 
