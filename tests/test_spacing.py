@@ -97,7 +97,7 @@ def test_a_number_of_faces_is_met(faces: int, tmp_path: Path) -> None:
     shape = egg()
     surface = surface_of(tmp_path / "egg.ply", shape)
     mesh, _ = spaced(*egg(4), surface, None, Spacing(0.55, faces=faces))
-    assert len(mesh.triangles) == pytest.approx(faces, rel=0.04)
+    assert len(mesh.triangles) == pytest.approx(faces, rel=0.05)  # as --faces-target says
     found = topology(PolygonMesh.of_triangles(mesh.vertices, mesh.triangles))
     assert (found.closed, found.euler_number) == (True, 2)
 
