@@ -1,4 +1,4 @@
-"""Stage baseline: the surface that another published method makes of the input, to compare with.
+"""Stage baseline: run another published method on the same input.
 
 Example:
     >>> from vorolight.stages import baseline, pipeline

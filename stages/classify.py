@@ -1,4 +1,4 @@
-"""Stage classify: which voxels are inside the shape, which lie in the band around it.
+"""Stage classify: find the voxels that lie inside the shape.
 
 Example:
     >>> from pathlib import Path

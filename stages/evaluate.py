@@ -1,4 +1,4 @@
-"""Stage evaluate: what a stage's surface is worth, against the input or a reference.
+"""Stage evaluate: measure a surface against the input or a reference.
 
 Example:
     >>> from vorolight.stages import evaluate, pipeline

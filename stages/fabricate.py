@@ -1,4 +1,5 @@
-"""Stage fabricate: a lamp, a lattice, a solid or cells to print; STL and 3MF in millimetres.
+"""Stage fabricate: make a lamp, a lattice, a solid or cells to print. Writes STL and 3MF in
+millimetres.
 
 Example:
     >>> from vorolight.stages import fabricate, pipeline

@@ -1,4 +1,4 @@
-"""Stage init: generators around the boundary, and the first Voronoi surface.
+"""Stage init: fit the first Voronoi surface to the shape.
 
 Example:
     >>> from vorolight.stages import init, pipeline

@@ -1,4 +1,4 @@
-"""Stage shade: the appearance of views, on the surface as it is.
+"""Stage shade: learn the colours of the surface from the views.
 
 Example:
     >>> from vorolight.stages import pipeline, shade

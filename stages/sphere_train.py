@@ -1,4 +1,4 @@
-"""Stage sphere-train: spheres at the vertices, generator pairs at the faces, the final surface.
+"""Stage sphere-train: train the final Voronoi surface and certify it.
 
 Example:
     >>> from vorolight.stages import pipeline, sphere_train

@@ -1,4 +1,4 @@
-"""Stage volume: generators deep inside, a centroidal tessellation, polyhedral cells.
+"""Stage volume: fill the surface with Voronoi cells, a polyhedral mesh.
 
 Example:
     >>> from vorolight.stages import pipeline, volume

@@ -131,7 +131,7 @@ def test_checkpoints_cost_little_and_end_a_process_that_was_asked_to(
     mine.save(2, lambda: {"x": np.zeros(3)})  # too soon: it would cost more than two percent
     assert mine.latest()[0] == 1
     monkeypatch.setattr(requeue, "_asked", True)
-    with pytest.raises(Stopped, match="goes on from there"):
+    with pytest.raises(Stopped, match="continues from there"):
         mine.save(3, lambda: {"x": np.zeros(3)})
     assert mine.latest()[0] == 3
     assert [event for event, _ in told] == ["checkpoint", "resumed", "checkpoint", "resumed"]

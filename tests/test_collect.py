@@ -157,7 +157,7 @@ BAD = [
     (["bare"], 4, "bare: neither a run folder nor"),
     (["sphere.vorolight", "--columns", "unicorns.*"], 2, "--columns unicorns.*: no column"),
     (["sphere.vorolight", "-o", "table.xlsx"], 2, "table.xlsx: must end with .csv or .parquet"),
-    (["sphere.vorolight", "-o", "no/table.csv"], 2, "no/table.csv: not a file that can be written"),
+    (["sphere.vorolight", "-o", "no/table.csv"], 2, "no/table.csv: cannot be written there"),
 ]
 
 

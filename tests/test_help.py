@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from conftest import Cli
 
+from vorolight.cli.panels import PANELS
 from vorolight.stages import standing
 from vorolight.stages.errors import VorolightError
 
@@ -67,6 +68,22 @@ def test_help_ends_with_exit_codes_and_variables(cli: Cli, tmp_path: Path) -> No
     assert "\n    VOROLIGHT_RUN " in variables
     for command in ("doctor", "collect"):
         assert f"\n  {command} " in done.stdout
+
+
+def test_help_lists_every_command_in_one_panel(
+    cli: Cli, tmp_path: Path, commands: dict[str, Any]
+) -> None:
+    """In the order of their use, each with a sentence that fits on its line."""
+    listed = [name for names in PANELS.values() for name in names]
+    assert sorted(listed) == sorted(commands)
+    done = cli("--help", cwd=tmp_path, env={"COLUMNS": "80"}).stdout
+    titles = [f"\n{title}:\n" for title in PANELS]
+    places = [done.index(title) for title in titles]
+    assert places == sorted(places)
+    panels = done[places[0] : done.index("\n  Example: ")]
+    rows = [line.split() for line in panels.splitlines() if line.startswith("  ")]
+    assert [row[0] for row in rows] == listed
+    assert all(row[-1].endswith(".") and not row[-1].endswith("...") for row in rows)
 
 
 def test_help_is_there_at_once(cli: Cli, tmp_path: Path) -> None:

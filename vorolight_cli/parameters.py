@@ -120,11 +120,12 @@ def read_config(path: Path | None, stages: Sequence[str]) -> dict[str, dict[str,
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"{path}: not a readable TOML file ({error}); correct it") from error
+        raise UsageError(f"{path}: cannot be read as TOML ({error}); correct it") from error
     for name, values in content.items():
         if name not in stages or not isinstance(values, dict):
             raise UsageError(
-                f"{path}: [{name}] is no stage; tables are {', '.join(f'[{s}]' for s in stages)}"
+                f"{path}: [{name}] is not a stage; the stages are "
+                f"{', '.join(f'[{s}]' for s in stages)}"
             )
     return content
 
@@ -145,7 +146,9 @@ def build(
     for key, value in config.get(stage.name, {}).items():
         name = key.replace("-", "_")
         if name not in known:
-            raise UsageError(f"[{stage.name}] {key}: no such option; see vorolight {stage.name} -h")
+            raise UsageError(
+                f"[{stage.name}] {key}: no such option; vorolight {stage.name} -h lists the options"
+            )
         values[name] = value
     for name in known:
         if given.get(names[name]) is not None:

@@ -1,4 +1,4 @@
-"""How the command ends when it is told to: at once, or at the next checkpoint."""
+"""How the command ends on a signal: at once, or at the next checkpoint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vorolight.stages.artifacts import lock, requeue
 from vorolight.stages.errors import Stopped
 
 GRACE = 60
-"""Seconds that a process which was asked to stop at a checkpoint has to get there."""
+"""Seconds within which a process must reach a checkpoint after SIGUSR1."""
 
 
 def install() -> None:
@@ -32,12 +32,12 @@ def _stop_at_checkpoint(number: int, frame: object) -> None:
 
 
 def _stop_without(number: int, frame: object) -> None:
-    _end(Stopped.exit_code, "stopped, no checkpoint being near")
+    _end(Stopped.exit_code, "stopped; no checkpoint was reached in time")
 
 
-def _end(code: int, said: str) -> None:
+def _end(code: int, text: str) -> None:
     """No unwinding: an exception thrown into torch's kernels crashes the process, and every file
     is either whole or not there."""
     lock.release_all()
-    os.write(2, f"\nvorolight: {said}; the same command resumes\n".encode())
+    os.write(2, f"\nvorolight: {text}; the same command continues\n".encode())
     os._exit(code)

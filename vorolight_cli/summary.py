@@ -12,7 +12,11 @@ def _number(value: float | None) -> str:
 
 
 def _surface(topology: dict[str, Any]) -> str:
-    closed = "closed" if topology["bad_edges"] == 0 else f"{topology['bad_edges']} bad edges"
+    closed = (
+        "closed"
+        if topology["bad_edges"] == 0
+        else f"not closed ({topology['bad_edges']} edges are not in two faces)"
+    )
     parts = topology["components"]
     return (
         f"{topology['faces']} faces, {closed}, Euler number {topology['euler_number']}, "
@@ -46,21 +50,21 @@ def of(manifest: dict[str, Any], console: Console) -> str:
         "sphere-train": lambda: (
             f"{metrics['trained_faces']} trained faces; surface: {_surface(metrics['topology'])}; "
             + (
-                "certified to conform"
+                "certificate holds"
                 if metrics["certificate"]["holds"]
-                else f"{100 * metrics['conformity']['pair_area_share']:.2f} % of its area between "
-                "pairs, no certificate"
+                else f"no certificate, {100 * metrics['conformity']['pair_area_share']:.2f} % of "
+                "the area lies between generator pairs"
             )
         ),
         "volume": lambda: (
-            f"{metrics['cells']} cells, {sum(metrics['faults'].values())} unsound, "
+            f"{metrics['cells']} cells, {sum(metrics['faults'].values())} of them faulty, "
             f"{metrics['changed_faces'] or 'no'} faces of the surface changed, volume "
-            f"{metrics['cell_volume_sum']:.6g}; generators within "
-            f"{100 * metrics['centroid_distance_mean']:.2g} % of a cell of their centroids"
+            f"{metrics['cell_volume_sum']:.6g}; mean distance of generators to centroids "
+            f"{100 * metrics['centroid_distance_mean']:.2g} % of the cell size"
         ),
         "shade": lambda: (
-            f"trained on {metrics['trained_views']} views; PSNR on "
-            f"{len(metrics['held_out_views'])} held out: {_number(metrics['held_out_psnr'])} dB"
+            f"trained on {metrics['trained_views']} views; PSNR of "
+            f"{len(metrics['held_out_views'])} other views: {_number(metrics['held_out_psnr'])} dB"
         ),
         "evaluate": lambda: f"surface of {metrics['of']}",
         "fabricate": lambda: _object(metrics),

@@ -20,4 +20,4 @@ def asked() -> bool:
 def stop_if_asked() -> None:
     """Raises Stopped once ``ask`` was called."""
     if _asked:
-        raise Stopped("stopped at a checkpoint; the same command goes on from there")
+        raise Stopped("stopped at a checkpoint; the same command continues from there")
