@@ -9,29 +9,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pytest
 from conftest import Cli
 
 from vorolight.cli.panels import PANELS
-from vorolight.stages import standing
 from vorolight.stages.errors import VorolightError
 
 BIN = Path(sys.executable).parent
-
-
-@pytest.fixture(scope="module")
-def commands() -> dict[str, Any]:
-    """Every command with all its options, by name."""
-    import typer.main
-
-    from vorolight.cli import app
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COMP_WORDS", " ".join([*standing.ALL, "run"]))
-        app._build()
-    group: Any = typer.main.get_command(app.app)
-    assert len(group.commands) >= 16
-    return dict(group.commands)
 
 
 def test_every_command_explains_itself_and_gives_an_example(commands: dict[str, Any]) -> None:

@@ -108,7 +108,7 @@ def meshes(given: Settings) -> str:
         "",
         "",
         "CD^2 x 1e3",
-        "F1@.01",
+        "F1@0.01",
         *(f"{what} \\|H\\|" for what in ("mean", "median", "P95")),
     ]
     head += ["valid", "surface CD^2 x 1e3", "normals", "even mean \\|H\\|", "dihedral H / truth"]
@@ -224,7 +224,7 @@ def images(given: Settings) -> str:
             columns = [f"{spread(list(c), '.3g')} ({np.median(c):.3g})" for c in np.array(good).T]
             rows.append([title, f"ours ({len(good)})", *columns])
     return (
-        table(["", "", "CD^2 x 1e3, median", "F1@.01, median"], rows)
+        table(["", "", "CD^2 x 1e3, median", "F1@0.01, median"], rows)
         + f"\n\nMasks and normal maps of {given.view_size} pixels, drawn by `vorolight views`; "
         f"n = {given.view_n}, triangles. The run sees only the pictures.\n\n"
         + table(
@@ -232,7 +232,7 @@ def images(given: Settings) -> str:
                 "shape",
                 "views",
                 "CD^2 x 1e3",
-                "F1@.01",
+                "F1@0.01",
                 "sampling floor",
                 "normals",
                 "Euler number, components",
