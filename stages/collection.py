@@ -36,13 +36,17 @@ def run_folders(paths: Sequence[Path]) -> list[RunFolder]:
     found: dict[Path, RunFolder] = {}
     for path in paths:
         if not path.is_dir():
-            raise ArtifactError(f"{path}: no such folder; give run folders, or what they are in")
+            raise ArtifactError(
+                f"{path}: no such folder; give run folders, or folders that contain run folders"
+            )
         if path.resolve().suffix == SUFFIX or (path / "classify.json").is_file():
             inner = [path]
         else:
             inner = sorted(entry for entry in path.glob(f"*{SUFFIX}") if entry.is_dir())
         if not inner:
-            raise ArtifactError(f"{path}: neither a run folder nor a folder of *{SUFFIX}")
+            raise ArtifactError(
+                f"{path}: is not a run folder and contains none (*{SUFFIX}); check the path"
+            )
         for run in inner:
             found.setdefault(run.resolve(), RunFolder(run))
     return list(found.values())
@@ -153,7 +157,8 @@ def selected(table: Table, patterns: Sequence[str]) -> Table:
         if not any(fnmatchcase(name, pattern) for name in table):
             stems = ", ".join(dict.fromkeys(name.partition(".")[0] for name in table))
             raise UsageError(
-                f"--columns {pattern}: no column of these runs matches; they begin with {stems}"
+                f"--columns {pattern}: no column matches; the columns of these runs begin "
+                f"with {stems}"
             )
     return {
         name: values
@@ -177,8 +182,8 @@ def require_parquet() -> None:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
         raise BackendMissing(
-            "tables as .parquet need pyarrow, which is not installed: type "
-            "pip install 'vorolight[cluster]', or name a .csv"
+            "a .parquet file needs pyarrow, which is not installed; run: pip install "
+            "'vorolight[cluster]', or write a .csv file"
         ) from None
 
 

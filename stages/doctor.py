@@ -97,8 +97,8 @@ def _by_child(folder: Path, left: list[str]) -> Iterator[Finding]:
         child.kill()
         child.wait()
     if left:
-        how = f"did not end within {SECONDS} s" if late else f"ended its process with {code}"
-        advice = "reinstall what it needs: pip install --force-reinstall vorolight"
+        how = f"did not end within {SECONDS} s" if late else f"crashed with exit code {code}"
+        advice = "reinstall vorolight and its libraries: pip install --force-reinstall vorolight"
         yield Finding(left.pop(0), how, "problem", advice)
 
 
@@ -114,7 +114,7 @@ def _tell(folder: str, *names: str) -> None:
         # A check may come upon anything; that is what it is for.
         except BaseException as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            advice = "mend or reinstall what is named there"
+            advice = "repair or reinstall the library that is named there"
             print(json.dumps(asdict(Finding(name, reason, "problem", advice))), file=out)
         print("null", file=out, flush=True)
 

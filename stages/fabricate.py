@@ -54,8 +54,8 @@ def run(context: Context) -> Outcome:
             polygons = even_cells(surface, width / _scale(surface, asked), context.threads)
         except ValueError as error:
             raise UsageError(
-                f"--cell-size {width:g}: cells need a closed surface ({error}); train it until it "
-                "has a certificate"
+                f"--cell-size {width:g}: cells need a closed surface ({error}); train the "
+                "surface until it has a certificate"
             ) from error
         drawn = "cells"
     elif (polygons.valences == 3).all():
@@ -119,7 +119,9 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
     checks = made.checks(params.room, params.nozzle, params.layer)
     fit = next(check for check in checks if check.name == "bed")
     if fit.verdict == "fail":
-        raise UsageError(f"--bed {params.bed}: the object is {fit.text}; lower --height")
+        raise UsageError(
+            f"--bed {params.bed}: the object does not fit ({fit.text}); lower --height"
+        )
     warnings = list(made.warnings)
     bodies = [threemf.Body(made.name, part.vertices, part.triangles)]
     files = {
@@ -151,8 +153,8 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         else:
             files["png"] = lit.rasterised(*scene)
             warnings.append(
-                "Mitsuba is not installed (pip install 'vorolight[render]'): the picture is "
-                "rasterised, and nothing in it casts shadows"
+                "Mitsuba is not installed: the picture is rasterised, without shadows; for "
+                "a path-traced picture, run: pip install 'vorolight[render]'"
             )
 
     def recheck(paths: dict[str, Path]) -> dict[str, Any]:
@@ -176,7 +178,11 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         arrays=made.arrays | {"mm_from_input": made.mm_from_input},
         files=files,
         metrics=metrics,
-        warnings=[*warnings, *(f"will not print: {text}" for text in failed), *warned],
+        warnings=[
+            *warnings,
+            *(f"the object is not printable as it is: {text}" for text in failed),
+            *warned,
+        ],
         frame={
             "unit": "mm",
             "input_from_model": np.linalg.inv(made.mm_from_input).tolist(),

@@ -55,7 +55,7 @@ def requirements(extra: str | None) -> list[tuple[str, str]]:
 def libraries(folder: Path) -> Iterator[Finding]:
     for name, least in requirements(None):
         there = _version(name)
-        advice = f"type: pip install --upgrade '{name}>={least}'"
+        advice = f"run: pip install --upgrade '{name}>={least}'"
         if there is None:
             yield Finding(name, f"not installed (>= {least})", "problem", advice)
         elif release(there) < release(least):
@@ -72,7 +72,7 @@ def extras(folder: Path) -> Iterator[Finding]:
             lacking |= there is None or release(there) < release(least)
             said.append(f"{name} {there or 'not installed'}")
         found = f"{', '.join(said)}: {purpose}"
-        advice = f"if wanted, type: pip install --upgrade 'vorolight[{extra}]'"
+        advice = f"to use it, run: pip install --upgrade 'vorolight[{extra}]'"
         yield Finding(
             f"extra {extra}", found, "note" if lacking else "ok", advice if lacking else None
         )
@@ -122,20 +122,20 @@ def kernels(folder: Path) -> Iterator[Finding]:
 
     began = time.perf_counter()
     kernel: Any = compiled(_mean)
-    _expect(kernel(np.arange(5.0)) == 2.0, "a compiled loop computes another mean")
+    _expect(kernel(np.arange(5.0)) == 2.0, "a compiled loop computes a wrong mean")
     took = f"compiled in {time.perf_counter() - began:.1f} s"
     place = kernel.stats.cache_path
     if place is None:
         advice = "set NUMBA_CACHE_DIR to a folder that can be written to"
         yield Finding(
-            "compiled loops", f"{took}, not kept: compiled anew each time", "note", advice
+            "compiled loops", f"{took}, not stored: every process compiles again", "note", advice
         )
         return
     kept = [*Path(place).glob(f"{Path(__file__).stem}.{_mean.__name__}-*")]
     for file in kept:
         file.unlink(missing_ok=True)
-    _expect(bool(kept), f"{place}: nothing was kept of a compiled loop")
-    yield Finding("compiled loops", f"{took}, kept in {place}")
+    _expect(bool(kept), f"{place}: no compiled loop was stored")
+    yield Finding("compiled loops", f"{took}, stored in {place}")
 
 
 def torch_operations(folder: Path) -> Iterator[Finding]:
@@ -154,9 +154,9 @@ def torch_operations(folder: Path) -> Iterator[Finding]:
         made.append(torch.cat([total, *torch.autograd.grad(torch.sin(total).sum(), values)]))
     _expect(
         all(torch.equal(made[0], other) for other in made),
-        "the same operations give other bits when repeated",
+        "repeated operations give different bits",
     )
-    _expect(bool((made[0][50:] != 0).any()), "no gradient arrives")
+    _expect(bool((made[0][50:] != 0).any()), "gradients are missing")
     yield Finding("torch operations", f"repeat their bits, {torch.get_num_threads()} threads")
 
 

@@ -30,7 +30,7 @@ def threads(folder: Path) -> Iterator[Finding]:
     said = [f"{allowed} of {os.cpu_count()} cores for this process"]
     said += [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
     if quota is not None and quota < allowed:
-        said.append(f"its container grants the time of {quota:.3g}")
+        said.append(f"the container may use the time of {quota:.3g} cores")
         advice = f"give --threads {max(1, int(quota))}"
         yield Finding("threads", ", ".join(said), "note", advice)
     else:
@@ -59,7 +59,9 @@ def memory_there(folder: Path) -> Iterator[Finding]:
     if free < LEAST_GB:
         yield Finding("memory", said, "problem", "end other programs, or use another machine")
     elif free < ENOUGH_GB:
-        yield Finding("memory", said, "note", "enough for small runs: lower -n if one is refused")
+        yield Finding(
+            "memory", said, "note", "enough for small runs; lower -n if a stage is refused"
+        )
     else:
         yield Finding("memory", said)
 
@@ -78,13 +80,15 @@ def disk(folder: Path) -> Iterator[Finding]:
     room, kind = shutil.disk_usage(place).free / 1e9, _file_system(place)
     said = f"{room:.1f} GB free in {place}"
     if room < LEAST_ROOM_GB:
-        yield Finding("disk", said, "problem", "make room, or write elsewhere with --run")
+        yield Finding(
+            "disk", said, "problem", "free some space, or choose another folder with --run"
+        )
     elif room < ROOM_GB:
         yield Finding("disk", said, "note", "enough for small runs only")
     else:
         yield Finding("disk", said)
     if kind in NETWORK:
-        advice = "one run folder is for one process at a time, on whichever machine"
+        advice = "only one process may work on a run folder at a time, on whichever machine"
         yield Finding("file system", f"{kind}, over the network", "note", advice)
     else:
         yield Finding("file system", kind or "of unknown kind", "ok" if kind else "note")
@@ -115,7 +119,7 @@ def files(folder: Path) -> Iterator[Finding]:
             for content in (b"first", b"second"):
                 atomic.write(trial, content)
             if trial.read_bytes() != b"second":
-                raise OSError("a file that was replaced is as before")
+                raise OSError("replacing a file had no effect")
             with lock.locked(Path(name)):
                 pass
             try:
@@ -124,14 +128,17 @@ def files(folder: Path) -> Iterator[Finding]:
             except OSError:
                 links = ""
     except (OSError, UsageError) as error:
-        reason = f"{place}: runs cannot be written ({error})"
-        yield Finding("files", reason, "problem", "write elsewhere with --run")
+        reason = f"{place}: runs cannot be written there ({error})"
+        yield Finding("files", reason, "problem", "choose another folder with --run")
         return
     said = f"{place}: writing, fsync, renaming{links} and locks work"
     if links:
         yield Finding("files", said)
     else:
-        advice = "without hard links a lock may be found empty: do not start a run twice at once"
+        advice = (
+            "without hard links two processes might take the same lock: do not start a run "
+            "twice at once"
+        )
         yield Finding("files", said, "note", advice)
 
 

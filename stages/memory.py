@@ -31,13 +31,12 @@ def require(stage: str, needed_mb: float, most_mb: float | None) -> None:
     if needed_mb <= limit:
         return
     have = (
-        f"{limit / 1000:.1f} GB are free: use another machine, or take the risk with --max-memory"
+        f"only {limit / 1000:.1f} GB are free: lower -n, use a machine with more memory, or "
+        "allow it with --max-memory"
         if most_mb is None
-        else f"--max-memory is {limit / 1000:.1f}: raise it"
+        else f"--max-memory allows {limit / 1000:.1f} GB: lower -n, or raise it"
     )
-    raise UsageError(
-        f"{stage}: needs about {needed_mb / 1000:.1f} GB of memory and {have}, or lower -n"
-    )
+    raise UsageError(f"{stage}: needs about {needed_mb / 1000:.1f} GB of memory, but {have}")
 
 
 def peak(least: float, start: float, each: float, count: float) -> float:

@@ -134,7 +134,8 @@ def _check_device(device: str) -> None:
 def _open_recorded(folder: RunFolder, source: Identity) -> Any:
     if source.path is not None and not source.path.exists():
         raise InputError(
-            f"{source.path}: the input of {folder.path} is gone; put it back or give it as INPUT"
+            f"{source.path}: the input of {folder.path} is missing; restore it, or give its "
+            "new path as INPUT"
         )
     return source.open(folder.arrays("classify", "classify"))
 

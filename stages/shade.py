@@ -43,17 +43,18 @@ class Params(contract.Params):
     """Options of the shade stage."""
 
     iterations: Annotated[int, Range(0, 1_000_000)] = 2000
-    """Adam steps, one view each."""
+    """Number of Adam steps, each on one view."""
     learning_rate: Positive = 1e-3
-    """Adam step; decays to 0 as a cosine."""
+    """First step of Adam. It falls to 0 along a cosine."""
     width: Annotated[int, Range(8, 1024)] = 128
-    """Neurons in a layer."""
+    """Number of neurons in a layer."""
     held_out: Annotated[int, Range(0, 10_000)] | None = None
-    """Views that are not trained on but measured: by default an eighth, at most 8; none of six."""
+    """Number of views that are only used to measure the result. Default: an eighth of them, at most
+    8, and none if there are six views."""
     render: Literal["none", "orbit"] = "none"
-    """orbit: pictures of a way around the object, PNG each, and an animation (GIF)."""
+    """orbit draws pictures from all around the object (PNG) and an animation (GIF)."""
     frames: Annotated[int, Range(2, 1000)] = 36
-    """Pictures of the orbit."""
+    """Number of pictures of the orbit."""
     size: Annotated[int, Range(16, 4096)] = 384
     """Pixels along a side of the orbit's pictures."""
 
@@ -112,7 +113,7 @@ def run(context: Context) -> Outcome:
     torch_start.start(context.threads)
     params, source = context.params, context.source()
     if not isinstance(source, ViewSource):
-        raise UsageError(f"shade: the input is a {source.kind}; only views show an appearance")
+        raise UsageError(f"shade: the input is of kind {source.kind}, and only views have colours")
     source.threads = context.threads
     mesh = PolygonMesh.from_arrays(context.arrays("sphere-train"), "surface/")
     vertices, triangles, _ = fan_triangles(mesh)
@@ -161,7 +162,8 @@ def run(context: Context) -> Outcome:
     warnings = []
     if unseen > WORTH_SAYING:
         warnings.append(
-            f"{100 * unseen:.0f} % of the surface is in no picture; its colours there mean nothing"
+            f"no picture shows {100 * unseen:.0f} % of the surface, so its colours there are "
+            "guesses"
         )
     worst = sorted(scores.items(), key=lambda item: item[1])[:3]
     return Outcome(
@@ -197,7 +199,10 @@ def split(count: int, held_out: int | None) -> tuple[Ints, Ints]:
     if held_out is None:
         held_out = min(8, count // 8)
     if held_out >= count:
-        raise UsageError(f"--held-out {held_out}: there are {count} views; leave some to train on")
+        raise UsageError(
+            f"--held-out {held_out}: there are only {count} views, and some must remain for "
+            "training; lower it"
+        )
     held = np.floor((np.arange(held_out) + 0.5) * count / max(1, held_out)).astype(np.int64)
     return np.setdiff1d(np.arange(count), held), held
 

@@ -36,7 +36,11 @@ def run(context: Context) -> Outcome:
 
 def _on_cpu(context: Context) -> list[str]:
     device = context.device
-    return [] if device == "cpu" else [f"--device {device}: this training runs on the CPU"]
+    return (
+        []
+        if device == "cpu"
+        else [f"--device {device} has no effect: this training runs on the CPU"]
+    )
 
 
 def _conforming(context: Context) -> Outcome:
@@ -67,7 +71,10 @@ def _conforming(context: Context) -> Outcome:
     polygons = Polygons.of_triangles(spheres)
     if params.faces == "polygon":
         if spheres.intruded(context.threads).any():
-            warnings.append("the triangles do not conform, so that none are merged into polygons")
+            warnings.append(
+                "no triangles were merged into polygons, since the triangles have no "
+                "certificate: raise -n, or lower --edge-length"
+            )
         else:
             polygons, losses, rounds = train_polygons(
                 spheres,
@@ -84,8 +91,8 @@ def _conforming(context: Context) -> Outcome:
             facts["polygons"] = polygons.facts() | {"rounds": rounds}
             if params.polygon_share > 0 and not polygons.large.any():
                 warnings.append(
-                    f"no polygon conforms after {rounds} rounds, so that all faces are triangles: "
-                    "raise -n, or lower --edge-length"
+                    f"all faces are triangles, since no polygon conforms after {rounds} "
+                    "rounds: raise -n, or lower --edge-length"
                 )
     trained, corners = polygons.placed(), polygons.spheres
 
@@ -167,8 +174,9 @@ def _labelled(
     pairs = label_pairs(trained, ahead, behind)
     if pairs.undecided:
         warnings.append(
-            f"{pairs.undecided} generator pairs lie on one side of the trained surface and were "
-            "labelled by their face's orientation"
+            f"{pairs.undecided} generator pairs lie on one side of the trained surface and "
+            "were labelled by the orientation of their face: the written surface may differ "
+            "there"
         )
     facts = {key: getattr(pairs, key) for key in ("relabelled", "replaced", "undecided")}
     return _outcome(
@@ -210,9 +218,9 @@ def _outcome(
     def refused(certificate: Certificate) -> None:
         if resisting is not None and not params.allow_uncertified:
             raise NumericalFailure(
-                f"no certificate ({', '.join(certificate.failed)} fails): {resisting()}; raise "
-                "-n, lower --edge-length, or try --sharp off; --allow-uncertified writes the "
-                "surface as the diagram has it"
+                f"no certificate ({', '.join(certificate.failed)} fails): {resisting()}; "
+                "raise -n, lower --edge-length, or try --sharp off; --allow-uncertified "
+                "writes the interface of the diagram instead"
             )
 
     found = written(trained, radii, inside, outside, merge, context.threads, refused)
@@ -223,8 +231,9 @@ def _outcome(
     trained_facts = topology(trained)
     if expected is not None and expected != (facts.euler_number, facts.components):
         warnings.append(
-            f"the surface has Euler number {facts.euler_number} and {facts.components} components, "
-            f"the input {expected[0]} and {expected[1]}: raise -n"
+            f"the surface has Euler number {facts.euler_number} and {facts.components} "
+            f"components, but the input has {expected[0]} and {expected[1]}: parts or holes "
+            "were lost or joined; raise -n"
         )
     surface = found.mesh.with_vertices(frame.input_from_model(found.mesh.vertices))
     placed = trained.with_vertices(frame.input_from_model(trained.vertices))

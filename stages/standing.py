@@ -132,9 +132,8 @@ def check_same_input(folder: RunFolder, given: Identity | None) -> None:
         same = False
     if not same:
         raise ArtifactError(
-            f"{folder.path}: holds a run of {entry['path'] or entry['name']}, not of "
-            f"{given.path or given.name}; "
-            "name another folder with --run"
+            f"{folder.path}: contains a run of {entry['path'] or entry['name']}, not of "
+            f"{given.path or given.name}; name another folder with --run"
         )
 
 
@@ -189,7 +188,7 @@ def _recorded_params(folder: RunFolder, stage: Stage, stored: manifest.Manifest)
         return stage.params(**_known(stage, stored["params"]))
     except UsageError as error:  # they were written by another hand
         raise ArtifactError(
-            f"{folder.path}: the manifest of {stage.name} has options that cannot be ({error}); "
+            f"{folder.path}: the manifest of {stage.name} has invalid options ({error}); "
             f"run: vorolight {stage.name} --force"
         ) from error
 
@@ -228,7 +227,7 @@ def _difference(
         for key, value in settings.items():
             if stored[key] != value:
                 return f"{key} {stored[key]} -> {value}"
-        return f"the stage's code is another version ({stored['stage_code_version']})"
+        return f"the stage's code has changed since version {stored['stage_code_version']}"
     if stage.name == "classify" and session.input is not None and session.input.path is not None:
         place = relative(session.input.path, session.folder.path)
         if recorded["input"]["path"] != place:

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 DEFAULT_INNER = 800
 MOST_INNER = 10_000_000
 SAME = 1e-6
-"""In units of h0: how far the written surface may be from the interface of its generators."""
+"""Largest distance, in h0, of the written surface from the interface of its generators."""
 BELOW = 0.55
-"""Of a cell's size, that surface cells reach below their generators, about."""
+"""How far cells of the surface reach below their generators, about, as a share of their size."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +39,22 @@ class Params(contract.Params):
     """Options of the volume stage."""
 
     inner: Annotated[int, Range(1, MOST_INNER)] | None = None
-    """Generators to place inside, away from the surface. Default: 800, or what --spacing and
-    --grading ask for."""
+    """Number of generators inside. Default: 800, or as many as --spacing and --grading need."""
     spacing: Annotated[float, Range(0)] | None = None
-    """Size of the inner cells (the cube root of their volume, in the input's unit) in place of
-    their number; with --grading the largest size."""
+    """Size of the inner cells (the cube root of their volume, in the unit of the input), in place
+    of --inner. With --grading it is the largest size."""
     grading: Share = 0.0
-    """How much the size of cells grows per distance to the surface, from that of the surface's own
-    faces; 0 is one size for all."""
+    """Growth of the cell size per unit of distance to the surface, starting from the size of the
+    surface's faces. 0 makes all inner cells the same size."""
     cvt: Literal["energy", "paper"] = "energy"
-    """What evens out the inner cells: quasi-Newton steps on the CVT energy, or Adam on the paper's
-    loss, which --grading does not know."""
+    """How inner cells are evened out: energy by quasi-Newton steps on the energy of the centroidal
+    Voronoi tessellation, paper by Adam on the paper's loss (without --grading)."""
     cvt_iterations: Annotated[int, Range(0, 100_000)] = 100
-    """Most steps of that; on the energy they end before, where five win less than a thousandth."""
+    """Maximum number of these steps. With --cvt energy they end early if five steps gain less than
+    a thousandth."""
     sliver: Annotated[float, Range(0, 0.2)] = 0.01
-    """Edges inside that are shorter than this share of the smallest cell beside them are
-    contracted, as are faces smaller than its square."""
+    """Contract inner edges shorter than this share of the smallest cell beside them, and faces
+    smaller than its square."""
 
 
 def run(context: Context) -> Outcome:
@@ -76,17 +76,19 @@ def run(context: Context) -> Outcome:
     if params.spacing == 0:
         raise UsageError("--spacing 0: must be more than 0")
     if params.spacing is not None and params.inner is not None:
-        raise UsageError("--spacing: says how many inner generators there are, as --inner does")
+        raise UsageError(
+            "--spacing and --inner both set the number of inner generators; give one of them"
+        )
     if params.grading and params.cvt == "paper":
-        raise UsageError("--grading: the paper's CVT loss has no density; use --cvt energy")
+        raise UsageError("--grading: --cvt paper makes cells of one size only; use --cvt energy")
     trained = context.arrays("sphere-train")
     frame = ModelFrame.of(context.arrays("classify"))
     written = PolygonMesh.from_arrays(trained, "surface/")
     gaps = len(bad_edges(written))
     if gaps or not written.face_count:
         raise InputError(
-            f"{context.folder.file('sphere-train', 'ply')}: {gaps} edges are not in two faces, so "
-            "the surface encloses nothing; train it again, with a higher -n"
+            f"{context.folder.file('sphere-train', 'ply')}: the surface is not closed "
+            f"({gaps} edges are not in two faces); train it again with a larger -n"
         )
     surface = written.with_vertices(frame.model_from_input(written.vertices))
     mean_area = float(face_frames(surface)[0].mean())
@@ -111,8 +113,9 @@ def run(context: Context) -> Outcome:
         surface, as_written = actual.mesh, False
         if changed:
             warnings.append(
-                f"{changed} faces of the surface have other corners than as written: its diagram "
-                "is degenerate there, and no certificate says which is right"
+                f"{changed} outer faces of the cells have other corners than in the written "
+                "surface, whose diagram is degenerate there; train the surface until it has "
+                "a certificate if cells must end exactly at it"
             )
     at = generators[raw.cell_generator]
     result = merged(raw, params.sliver, at)
@@ -125,14 +128,17 @@ def run(context: Context) -> Outcome:
     faults = {name: cells for name, cells in result.faults.items() if cells}
     if faults:
         named = ", ".join(f"{cells} {name.replace('_', ' ')}" for name, cells in faults.items())
-        warnings.append(f"not all cells are sound ({named}): a solver may refuse them")
+        warnings.append(
+            f"some cells are faulty ({named}), and a solver may refuse them: lower --sliver, or "
+            "train the surface until it has a certificate"
+        )
     if params.cvt == "energy" and params.cvt_iterations and not descent.done:
         warnings.append(
             f"the CVT energy was still falling after {descent.taken} steps: raise --cvt-iterations"
         )
     bodies = mesh.body_count
     if bodies > 1:
-        warnings.append(f"the cells are {bodies} bodies that share no face")
+        warnings.append(f"the cells form {bodies} separate bodies that share no face")
     moments = descent.moments
     offset = np.linalg.norm(points - moments.centroid, axis=1)
     history = np.array([*descent.residuals, (offset**2).mean()]) / mean_area
@@ -284,8 +290,8 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
             "generators, and has no certificate; train it without --preset paper, or with --merge 0"
         )
     warning = (
-        f"the surface has no certificate ({failed} fails): "
-        "the cells end at the interface of its generators"
+        f"the surface has no certificate ({failed} fails): the cells end at the interface of "
+        "its generators, which may differ from the trained surface"
     )
     guard = Guard.of(boundary, labels, raw)
     return _Bounded(guard, made, lambda points: None, [warning], again)

@@ -178,13 +178,13 @@ def test_a_finished_run_outlives_its_pictures(run: Path, cli: Cli, tmp_path: Pat
 def test_only_views_have_an_appearance_and_masks(cli: Cli, heart_run: Path) -> None:
     done = cli("shade", "--run", heart_run, cwd=heart_run.parent)
     assert done.returncode == 2
-    assert "shade: the input is a field; only views show an appearance" in done.stderr
+    assert "shade: the input is of kind field, and only views have colours" in done.stderr
     done = cli("classify", "heart", "--mask-votes", 1, cwd=heart_run.parent, env={})
     assert done.returncode == 2
-    assert "--mask-votes: the input is a field" in done.stderr
+    assert "--mask-votes: needs views, but the input is of kind field" in done.stderr
     done = cli("init", "--run", heart_run, "--shape-loss", "images", cwd=heart_run.parent)
     assert done.returncode == 2
-    assert "--shape-loss images: the input is a field" in done.stderr
+    assert "--shape-loss images: the input is of kind field" in done.stderr
 
 
 def test_the_paper_trains_on_pictures(run: Path, cli: Cli, tmp_path: Path) -> None:

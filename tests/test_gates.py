@@ -73,7 +73,7 @@ def inward() -> Surface:
 DAMAGE: dict[str, tuple[Callable[[], Surface], str, str]] = {
     "hole": (hole, "closed", "edges in one face only: 3 ("),
     "flipped": (flipped, "oriented", "turned against each other: 3 ("),
-    "pinched": (pinched, "vertices_manifold", "vertices whose faces are not one fan: 1 ("),
+    "pinched": (pinched, "vertices_manifold", "vertices whose faces form more than one fan: 1 ("),
     "crossing": (crossing, "free_of_self_intersections", "pairs of faces that cross"),
     "fin": (fin, "edges_manifold", "edges in more than two faces: 1 ("),
     "inward": (inward, "outward", "the faces point inward"),
@@ -186,7 +186,7 @@ def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli
     assert "do not overlap" in done.stderr
     done = measured(1000 * vertices)
     assert done.returncode == 3
-    assert "1000 times as large as this reference, which is in other units" in done.stderr
+    assert "1000 times as large as this reference, so their units differ" in done.stderr
     done = measured(1.5 * vertices)
     assert done.returncode == 0
     assert "1.5 times as large as the reference ball" in done.stderr
@@ -207,7 +207,7 @@ def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli
     assert done.returncode == 0, done.stderr
     assert "open.ply has holes (6 edges in one triangle only)" in done.stderr
     assert "topology" in done.stdout
-    assert "not known: that of the reference is not" in done.stdout
+    assert "not known: the topology of the reference" in done.stdout
 
 
 def test_self_intersections_of_known_arrangements() -> None:

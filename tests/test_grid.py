@@ -125,7 +125,7 @@ def test_inside_is_above_a_level(tmp_path: Path, cli: Cli) -> None:
     assert found["metrics"]["volume"] == pytest.approx(4 / 3 * np.pi * 0.9**3, rel=0.03)
     done = cli("classify", "sphere", "-n", 6, "--level", 1, cwd=tmp_path)
     assert done.returncode == 2
-    assert "only samples on a grid have one" in done.stderr
+    assert "--level: needs samples on a grid" in done.stderr
 
 
 def test_a_body_cut_off_by_the_grid_is_closed_and_said(tmp_path: Path) -> None:

@@ -48,22 +48,22 @@ def _annotation(option: Option, name: str, group: str) -> Any:
         flags = [f"{flag}/--no-{flag[2:]}"]
     else:
         flags = [flag] + ([option.short] if option.short and name == option.name else [])
-    shown: Any = option.default
-    if option.default is None or option.type is bool:
-        shown = "no" if option.default is False else "yes" if option.default else False
-    else:
-        shown = f"{option.default:g}" if option.type is float else str(option.default)
     meaning = option.meaning
     if get_origin(option.type) is not None:
         meaning += f" [{'|'.join(get_args(option.type))}]"
     elif option.limits is not None:
         meaning += f" ({option.limits})"
+    if option.default not in (None, ""):
+        shown = option.default
+        if option.type is bool:
+            shown = "yes" if shown else "no"
+        meaning += f" [default: {shown:g}]" if option.type is float else f" [default: {shown}]"
     # Choices and limits are checked by the Params, so that every way in gives the same sentence.
     plain = option.type if option.type in (int, float, bool) and option.length is None else str
     return Annotated[
         plain | None,
         typer.Option(
-            *flags, help=meaning, show_default=shown, rich_help_panel=f"Options of {group}",
+            *flags, help=meaning, show_default=False, rich_help_panel=f"Options of {group}",
             autocompletion=_completion(option),
         ),
     ]  # fmt: skip

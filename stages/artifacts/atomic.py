@@ -51,7 +51,9 @@ def remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be removed ({error.strerror})") from error
+        raise UsageError(
+            f"{path}: cannot be removed ({error.strerror}); check its permissions"
+        ) from error
 
 
 def move(source: Path, target: Path) -> None:
@@ -60,7 +62,9 @@ def move(source: Path, target: Path) -> None:
         os.replace(source, target)
         _sync_folder(target.parent)
     except OSError as error:
-        raise UsageError(f"{target}: cannot be written ({error.strerror})") from error
+        raise UsageError(
+            f"{target}: cannot be written ({error.strerror}); check its permissions"
+        ) from error
 
 
 def touch(path: Path, later_than: Iterable[Path] = ()) -> None:
@@ -70,7 +74,9 @@ def touch(path: Path, later_than: Iterable[Path] = ()) -> None:
         now = max([time.time_ns(), *(other.stat().st_mtime_ns for other in later_than)])
         os.utime(path, ns=(now, now))
     except OSError as error:
-        raise UsageError(f"{path}: cannot be touched ({error.strerror})") from error
+        raise UsageError(
+            f"{path}: cannot be touched ({error.strerror}); check its permissions"
+        ) from error
 
 
 def make_folder(path: Path) -> None:

@@ -92,7 +92,7 @@ def _datasets(file: Any, layout: Mapping[str, Any] | None) -> dict[str, Any]:
         for key in group:
             seen += 1
             if seen > MOST or prefix.count("/") > DEEPEST:
-                raise ValueError("it holds more groups or arrays than ours do")
+                raise ValueError("it has more groups or arrays than vorolight writes")
             if not isinstance(group.get(key, getlink=True), h5py.HardLink):
                 continue
             item = group[key]
@@ -111,12 +111,12 @@ def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dic
         limit, total = min(LARGEST, int(1e6 * memory.free_mb())), 0
         for name, item in found.items():
             if item.dtype.kind not in "biuf" or item.dtype.itemsize > 8:
-                raise ValueError(f"array {name} holds {item.dtype}")
+                raise ValueError(f"array {name} has type {item.dtype}")
             if item.external or item.is_virtual:
                 raise ValueError(f"array {name} lies in another file")
             plan = item.id.get_create_plist()
             if any(plan.get_filter(i)[0] not in FILTERS for i in range(plan.get_nfilters())):
-                raise ValueError(f"array {name} is packed in a way that is not ours")
+                raise ValueError(f"array {name} uses a compression that vorolight does not write")
             total += item.dtype.itemsize * item.size
         if total > limit:
             raise ValueError(f"its arrays would take {total / 1e9:.1f} GB, more than may be read")
@@ -126,6 +126,6 @@ def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dic
         for name in file.attrs:
             kind = file.attrs.get_id(name)
             if kind.shape != () or kind.get_storage_size() > 4096:
-                raise ValueError(f"attribute {name} is not one of ours")
+                raise ValueError(f"attribute {name} is not one that vorolight writes")
             attributes[name] = file.attrs[name]
         return {name: item[()] for name, item in found.items()}, attributes

@@ -97,7 +97,7 @@ def holder(folder: Path) -> dict[str, Any] | None:
 def _content(path: Path) -> bytes:
     """What a lock says. Raises Locked for what is no file: reading a pipe would never end."""
     if not stat.S_ISREG(path.lstat().st_mode):
-        raise Locked(f"{path}: is no lock of ours; delete it")
+        raise Locked(f"{path}: is not a lock file of vorolight; delete it")
     return path.read_bytes()
 
 
@@ -112,15 +112,18 @@ def _take_over(path: Path) -> list[str]:
         host, pid = str(holder["host"]), int(holder["pid"])
         job, start = holder.get("job"), holder.get("start")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        raise Locked(f"{path}: is no lock of ours; delete it") from None
+        raise Locked(f"{path}: is not a lock file of vorolight; delete it") from None
     ours = _holder()
     # A job that was started again is the only one of its number: what held the lock is dead.
     again = job is not None and job == ours["job"] and (host, pid) != (ours["host"], ours["pid"])
     if host != ours["host"] and not again:
-        raise Locked(f"{path}: held by process {pid} on {host}; wait, or delete the file")
+        raise Locked(
+            f"{path}: process {pid} on {host} works on this run folder; wait for it, or delete "
+            "the file if that process has ended"
+        )
     # A number may be given out again, after a restart or in a container.
     if host == ours["host"] and processes.runs(pid, start):
-        raise Locked(f"{path}: held by process {pid}; wait for it, or stop it")
+        raise Locked(f"{path}: process {pid} works on this run folder; wait for it, or stop it")
     aside = path.with_name(f"{NAME}.dead.{os.getpid()}")
     try:
         os.replace(path, aside)

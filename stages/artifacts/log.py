@@ -42,7 +42,7 @@ class StageLog:
             self._give_up(error)
 
     def _give_up(self, error: OSError) -> None:
-        self.shown.note(f"{self.path}: no log is kept ({error.strerror})")
+        self.shown.note(f"{self.path}: no log is written ({error.strerror})")
         self.close()
 
     def close(self) -> None:

@@ -55,7 +55,10 @@ def read(path: Path) -> Manifest:
     """A manifest from disk. Raises ArtifactError when it is missing, damaged or not ours."""
     try:
         if path.stat().st_size > LARGEST or not leads_inside(path):
-            raise ArtifactError(f"{path}: no manifest of this folder; delete it and run again")
+            raise ArtifactError(
+                f"{path}: is too large, or leads out of this folder; delete it and run its stage "
+                "again"
+            )
         manifest = json.loads(path.read_bytes(), parse_constant=_no_number, parse_float=_finite)
     except FileNotFoundError:
         raise ArtifactError(f"{path}: missing; run its stage first") from None
@@ -64,9 +67,9 @@ def read(path: Path) -> Manifest:
     try:
         schemas.validate(manifest)
         if "checksum" in manifest and manifest != _sealed(manifest):
-            raise ValueError("is not as it was written")
+            raise ValueError("was changed after it was written")
         if not all(entry["path"].startswith(f"{path.stem}.") for entry in manifest["outputs"]):
-            raise ValueError("is of another stage")
+            raise ValueError("belongs to another stage")
     # A deep or strange value may upset the validator itself.
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = " ".join(str(error).split())
@@ -75,7 +78,7 @@ def read(path: Path) -> Manifest:
 
 
 def _no_number(text: str) -> float:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a number")
 
 
 def _finite(text: str) -> float:
@@ -93,7 +96,7 @@ def foreign(where: str) -> Iterator[None]:
         yield
     except (KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError) as error:
         raise ArtifactError(
-            f"{where}: a figure is missing or not as this version writes it "
+            f"{where}: a figure is missing, or has another form than this version writes "
             f"({type(error).__name__}: {error}); run its stage again with --force"
         ) from error
 
@@ -110,7 +113,7 @@ def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | Non
         except OSError:
             return f"{path.name} is missing"
         if not leads_inside(path):
-            return f"{path.name} is no file of this folder"
+            return f"{path.name} leads out of this folder"
         if state.st_size != output["bytes"]:
             return f"{path.name} changed"
         touched = state.st_mtime_ns != manifest["volatile"]["mtime_ns"].get(path.name)

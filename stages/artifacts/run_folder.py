@@ -74,7 +74,9 @@ class RunFolder:
         if not path.exists():
             raise ArtifactError(f"{path}: missing; run: vorolight {stored['stage']}")
         if not manifest.leads_inside(path):
-            raise ArtifactError(f"{path}: no file of this folder; delete it and run its stage")
+            raise ArtifactError(
+                f"{path}: leads out of this folder; delete it and run its stage again"
+            )
         try:
             data = path.read_bytes()
         except OSError as error:

@@ -39,9 +39,9 @@ def _split(volume: Volume) -> tetrahedra.Split:
     found = tetrahedra.split(volume.mesh, volume.points)
     if found.turned:
         raise InputError(
-            f"{found.turned} of {len(found.tetrahedra)} tetrahedra have no volume, or a negative "
-            "one: cells near the surface are not sound; lower --sliver of stage volume, or certify "
-            "the surface first (--faces triangle)"
+            f"{found.turned} of {len(found.tetrahedra)} tetrahedra have no volume, or a "
+            "negative one, since cells near the surface are faulty; lower --sliver of stage "
+            "volume, or train the surface until it has a certificate"
         )
     return found
 

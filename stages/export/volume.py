@@ -45,7 +45,7 @@ def _kept(cut: str, points: Floats) -> NDArray[np.bool_]:
     except ValueError:
         at = np.nan
     if match is None or not np.isfinite(at):
-        raise UsageError(f"--cut {cut}: must be like x=0.1, which keeps what lies below, or x>0.1")
+        raise UsageError(f"--cut {cut}: must be like x=0.1 (cells below) or x>0.1 (cells above)")
     along = points[:, "xyz".index(match.group(1))]
     keep = along > at if match.group(2) == ">" else along < at
     if not keep.any():
@@ -68,7 +68,7 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
         raise UsageError(f"{target}: is a file; name a folder")
     held = target if form.suffix else target / "constant" / "polyMesh"
     if held.exists() and not force:
-        raise UsageError(f"{held}: is there; choose another name, or use --force")
+        raise UsageError(f"{held}: exists; choose another name, or replace it with --force")
     arrays = folder.arrays("volume", "volume")
     mesh = PolyhedralMesh.from_arrays(arrays)
     points, volume = arrays["generators"][mesh.cell_generator], arrays["cell_volume"]

@@ -40,7 +40,10 @@ def largest(body: Any) -> Part:
     Raises NumericalFailure when the boolean operations failed.
     """
     if body.status().name != "NoError" or body.is_empty():
-        raise NumericalFailure(f"the union of the tubes failed ({body.status().name})")
+        raise NumericalFailure(
+            f"the union of the tubes failed ({body.status().name}); change --tube-diameter or "
+            "--merge a little"
+        )
     # Closed voids come as parts of negative volume: they are filled.
     pieces = [(part, part.volume()) for part in body.decompose()]
     parts = [part for part, _ in sorted(pieces, key=lambda piece: -piece[1]) if part.volume() > 0]

@@ -75,8 +75,8 @@ def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance
     if (np.sort(size) > np.sort(asked.bed[:2])).any():
         x, y, z = asked.bed
         raise UsageError(
-            f"--bed {x:g}x{y:g}x{z:g}: the object is {size[0]:.0f} x {size[1]:.0f} mm wide; lower "
-            "--height, or say what your printer has room for"
+            f"--bed {x:g}x{y:g}x{z:g}: the object is {size[0]:.0f} x {size[1]:.0f} mm wide; "
+            "lower --height, or give the size of your printer"
         )
     return stance
 
@@ -119,8 +119,8 @@ def _on_pedestal(
         lift = cavity.top
         if lift > 0.5 * asked.height:
             raise UsageError(
-                f"--light {asked.preset}: its pedestal would be {lift:.0f} of {asked.height:g} mm "
-                "high; raise --height or take a smaller light"
+                f"--light {asked.preset}: its pedestal would take {lift:.0f} mm of the "
+                f"height of {asked.height:g} mm; raise --height, or use a smaller light"
             )
         matrix = _matrix(polygons, asked, trim, lift)
         stance = Stance(matrix, trim, lift, "pedestal", cavity, None, room)
@@ -140,23 +140,24 @@ def _on_pedestal(
             return replace(stance, place=place)
         if cavity.bulb is not None or free < LEAST_WINDOW:
             raise UsageError(
-                f"--base pedestal: the shape stands on less than the light's opening needs "
-                f"({2 * max(free, 0):.0f} mm there); cut more off with --trim, or take another --up"
+                f"--base pedestal: the foot of the shape is narrower ({2 * max(free, 0):.0f} "
+                "mm) than the opening for the light; cut more off with --trim, or use "
+                "another --up"
             )
         cavity = replace(cavity, window=0.95 * free)
 
 
 def _no_room(asked: Request, diameter: float) -> str:
     assert asked.light is not None
-    most = f"the largest of this height that fits is {diameter:.0f} mm wide"
+    most = f"the largest light of this height that fits is {diameter:.0f} mm wide"
     if diameter < LEAST_DIAMETER:
-        most = "none of this height fits there"
+        most = "no light of this height fits there"
     ways = "--light largest, " if diameter >= LEAST_DIAMETER and asked.preset != "largest" else ""
     ways += "--base pedestal, " if asked.base != "pedestal" and asked.preset != "largest" else ""
     return (
-        f"--light {asked.preset}: {asked.light.diameter:g} x {asked.light.height:g} mm with its "
-        f"wall does not fit inside the shape; {most}: use {ways}a smaller light, another --up or "
-        "more --height"
+        f"--light {asked.preset}: {asked.light.diameter:g} x {asked.light.height:g} mm with "
+        f"its wall does not fit inside the shape; {most}: use {ways}a smaller light, another "
+        "--up, or a larger --height"
     )
 
 

@@ -80,7 +80,7 @@ def wall(
         order = np.argsort(thickness)
         least = float(thickness[order[0]])
         thin = int((thickness < limit - THIN).sum())
-        text = f"thinnest {least:.2f} mm of at least {limit:g}"
+        text = f"thinnest {least:.2f} mm, at least {limit:g} mm required"
         if wanted is not None:
             text += f" (asked for {wanted:g})"
         verdict, worst = "fail" if thin else "ok", _places(points[order])
@@ -93,7 +93,7 @@ def shell(distances: Floats, wall: float) -> Check:
     least = float(distances.min())
     return Check(
         "shell", "ok" if least >= wall - THIN else "fail", round(least, 4), wall, "mm",
-        f"thinnest {least:.2f} mm of at least {wall:g}",
+        f"thinnest {least:.2f} mm, at least {wall:g} mm required",
     )  # fmt: skip
 
 
@@ -116,7 +116,10 @@ def bridges(graph: TubeGraph, keep: Any) -> Check:
     long = int((across[level] > BRIDGE).sum())
     return Check(
         "bridges", "warn" if long else "ok", round(longest, 3), BRIDGE, "mm",
-        f"longest {longest:.1f} mm; {long} over {BRIDGE:g} mm of {len(level)} nearly level tubes",
+        (
+        f"the longest of {len(level)} nearly level tubes is {longest:.1f} mm; {long} are "
+        f"longer than {BRIDGE:g} mm"
+        ),
         _places(ends.mean(axis=1)[order]),
     )  # fmt: skip
 
@@ -132,7 +135,8 @@ def floating(graph: TubeGraph, keep: Any) -> Check:
     order = hanging[np.argsort(z[hanging] - lowest[hanging], kind="stable")]
     return Check(
         "floating starts", "warn" if len(order) else "ok", float(len(order)), 0.0, "nodes",
-        f"{len(order)} of {len(z)} nodes have no lower neighbour", _places(graph.nodes[order]),
+        f"{len(order)} of {len(z)} nodes have no lower neighbour, so they begin in the air",
+        _places(graph.nodes[order]),
     )  # fmt: skip
 
 
@@ -183,7 +187,7 @@ def sealed(centres: Floats, sizes: Floats, count: int) -> Check:
     order, most = np.argsort(sizes, kind="stable"), SEALED * count
     return Check(
         "sealed faces", "warn" if len(order) > most else "ok", float(len(order)), most, "faces",
-        f"{len(order)} of {count} faces leave no gap as wide as the nozzle and are closed",
+        f"{len(order)} of {count} faces are narrower than the nozzle and are closed",
         _places(centres[order]),
     )  # fmt: skip
 
@@ -197,8 +201,10 @@ def bed(size: tuple[float, float, float], room: tuple[float, float, float]) -> C
     )
     return Check(
         "bed", "ok" if fits else "fail", round(max(size), 2), max(room), "mm",
-        f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm on "
-        f"{room[0]:g} x {room[1]:g} x {room[2]:g}",
+        (
+        f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, room for {room[0]:g} x "
+        f"{room[1]:g} x {room[2]:g} mm"
+        ),
     )  # fmt: skip
 
 

@@ -70,7 +70,7 @@ def _closed(body: Any, name: str, loss: str) -> Part:
     part = assembly.largest(body)
     if part.dropped_volume > MOST_DROPPED:
         raise NumericalFailure(
-            f"{part.dropped_parts} pieces of together {part.dropped_volume:.1f} mm3 are not "
+            f"{part.dropped_parts} pieces of {part.dropped_volume:.1f} mm3 in total are not "
             f"connected to the {name}; {loss}"
         )
     return part
@@ -109,12 +109,12 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
     if part.filled_volume > MOST_DROPPED:
         if wall is None:
             raise UsageError(
-                f"--solid: the shape has closed cavities of {part.filled_volume:.0f} mm3, which no "
-                "file for printing keeps apart from the solid; take --lattice --edges both"
+                f"--solid: the shape has closed cavities of {part.filled_volume:.0f} mm3, "
+                "which files for printing cannot hold; use --lattice --edges both"
             )
         raise UsageError(
-            f"--wall {wall:g}: the hollow would be closed all round (nothing comes out of it); "
-            "lower it, or open the shape with --base footprint and a larger --trim"
+            f"--wall {wall:g}: the hollow would have no opening; lower it, or open the shape "
+            "with --base footprint and a larger --trim"
         )
     stable, metrics = _standing(body)
     return Product(
@@ -223,7 +223,7 @@ def _how_to_join(made: Lattice, design: Design) -> str:
         way = "print them one by one"
         if design.edges == "surface":
             way += ", or, if one lies inside the other, join them with --edges both"
-        return f"the shape is in {made.graph.parts} parts that no tube joins: {way}"
+        return f"the tubes form {made.graph.parts} separate parts: {way}"
     return "raise --height or --tube-diameter, or lower --merge"
 
 
@@ -265,23 +265,26 @@ def _warnings(
     said = []
     if stance.base == "pedestal" and asked.base == "auto" and stance.room is not None:
         said.append(
-            f"the light does not fit inside the shape (up to {max(stance.room, 0):.0f} mm wide "
-            "would): it stands in a pedestal"
+            "the light does not fit inside the shape (a light of up to "
+            f"{max(stance.room, 0):.0f} mm wide would), so it is in a pedestal"
         )
     if stance.base != "none" and asked.trim is None and stance.trim > lamp.TRIMS[0]:
         said.append(
-            f"{100 * stance.trim:.0f} % of the height were cut off to make room for the light"
+            f"{100 * stance.trim:.0f} % of the height was cut off to make room for the light"
         )
     if footing.widened:
         said.append("the foot was made wider than the shape, which would not stand on its own")
     wanted = round(design.plates * (made.graph.faces.face_count - len(made.sealed)))
     if len(made.chosen) < wanted:
         shown = len(made.chosen)
-        said.append(f"{shown} of {wanted} plates: more would leave too little of it open")
+        said.append(
+            f"only {shown} of {wanted} plates are made: more would leave too little of the "
+            "surface open"
+        )
     if made.touching and design.edges == "surface":
         said.append(
-            f"tubes touch in {abs(made.touching)} places where no face closes (the shape is thin "
-            "there)"
+            f"tubes touch in {abs(made.touching)} places that are not faces, since the shape "
+            "is thin there"
         )
     return said
 

@@ -95,8 +95,8 @@ def slice_file(
     mended = [key for key in REPAIRS if key in info]
     if info.get("manifold") != "yes" or mended:
         raise NumericalFailure(
-            f"{name}: the slicer has to mend it ({', '.join(mended) or 'not manifold'}); try "
-            "another --tube-diameter or --merge"
+            f"{name}: the slicer has to repair it ({', '.join(mended) or 'not manifold'}); "
+            "try another --tube-diameter or --merge"
         )
     found = int(info.get("number_of_parts", "0"))
     if found != parts:

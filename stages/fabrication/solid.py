@@ -39,14 +39,17 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
         vertices, triangles, level, cells, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     )
     if len(faces) == 0:
-        raise UsageError(f"--wall {wall:g}: no place lies so deep inside; lower it")
+        raise UsageError(f"--wall {wall:g}: no part of the shape is that thick; lower it")
     # Marching cubes turns its triangles to the lower side or the upper one, by version.
     corners = inner[faces]
     if np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0:
         faces = faces[:, ::-1]
     hollow = Manifold(Mesh64(inner, faces.astype(np.uint64)))
     if hollow.status().name != "NoError":
-        raise NumericalFailure(f"the inner side of the shell is no solid ({hollow.status().name})")
+        raise NumericalFailure(
+            f"the inner side of the shell is not a solid ({hollow.status().name}); change --wall "
+            "a little"
+        )
     square = igl.point_mesh_squared_distance(inner, vertices, triangles)[0]
     return solid - hollow, np.sqrt(square)
 

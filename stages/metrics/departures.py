@@ -80,18 +80,20 @@ class Departures:
             what = "any point" if self.points else "the input"
             why = "nothing was measured there" if self.points else "the input has nothing there"
             said.append(
-                f"{100 * self.surface.far:.2g} % of the surface lies {self.surface.told(spacing)}, "
-                f"from {what}: {why}, so look at it before you use it"
+                f"{100 * self.surface.far:.2g} % of the surface lies "
+                f"{self.surface.told(spacing)}, from {what}: {why}, so check the surface "
+                "there before you use it"
             )
         if self.enclosed > 0.5 * self.input.far:
             said.append(
                 f"{100 * self.enclosed:.2g} % of the points lie inside the surface, "
-                f"{self.input.told(spacing)}, from it: they are no points of a surface"
+                f"{self.input.told(spacing)}, from it: they are not followed, so check "
+                "whether they belong to the surface"
             )
         elif self.input.far:
             said.append(
-                f"{100 * self.input.far:.2g} % of the input lies {self.input.told(spacing)}, from "
-                "the surface: it is lost; raise -n"
+                f"{100 * self.input.far:.2g} % of the input lies {self.input.told(spacing)}, "
+                "from the surface: these parts are lost; raise -n"
             )
         return said
 

@@ -127,7 +127,7 @@ def gates(
         "free_of_self_intersections": not len(found.crossing_faces),
         "topology": (facts.euler_number, facts.components) == expected
         if expected
-        else "not known: that of the reference is not",
+        else "not known: the topology of the reference is not known",
     }
 
 
@@ -149,14 +149,18 @@ def failed(metrics: dict[str, Any]) -> dict[str, str]:
     words = {
         "closed": said("open_edges", "edges in one face only"),
         "edges_manifold": said("crowded_edges", "edges in more than two faces"),
-        "vertices_manifold": said("pinched_vertices", "vertices whose faces are not one fan"),
+        "vertices_manifold": said(
+            "pinched_vertices", "vertices whose faces form more than one fan"
+        ),
         "oriented": said("turned_edges", "edges whose two faces are turned against each other"),
         "outward": "the faces point inward",
         "free_of_self_intersections": said(
             "crossing_faces", f"pairs of faces that cross deeper than {DEPTH:g} of the diagonal"
         ),
-        "topology": f"Euler number {facts['euler_number']} and {facts['components']} components, "
-        f"for {expected.get('euler_number')} and {expected.get('components')} of the reference",
+        "topology": (
+            f"Euler number {facts['euler_number']} and {facts['components']} components, where "
+            f"the reference has {expected.get('euler_number')} and {expected.get('components')}"
+        ),
         "certificate": "the certificate does not hold",
     }
     return {name: words[name] for name, held in metrics["gates"].items() if held is False}

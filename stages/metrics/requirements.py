@@ -67,11 +67,11 @@ class Requirement:
             raise UsageError(f"--require {self.name}: say which: {', '.join(sorted(ends))}")
         found = figures[ends[0]]
         if found is None:
-            return f"{ends[0]} is not known, {self.relation} {self.value:g} is required"
+            return f"{ends[0]} is not known, but {self.relation} {self.value:g} is required"
         if OPERATORS[self.relation](found, self.value):
             return None
         shown = found if isinstance(found, bool) else f"{found:.6g}"
-        return f"{ends[0]} is {shown}, {self.relation} {self.value:g} is required"
+        return f"{ends[0]} is {shown}, but {self.relation} {self.value:g} is required"
 
 
 def _figures(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

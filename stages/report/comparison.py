@@ -65,7 +65,7 @@ def difference(runs: Sequence[Compared]) -> str | None:
     if len({run.shape for run in runs}) == 1:
         return None
     inputs = ", ".join(f"{run.name} of {run.of}" for run in runs)
-    return f"these runs are of different shapes ({inputs}): their figures say nothing together"
+    return f"these runs are of different shapes ({inputs}), so their figures cannot be compared"
 
 
 def write(runs: Sequence[Compared], target: Path) -> None:
@@ -201,7 +201,7 @@ def _protocols(metrics: Sequence[Mapping[str, Any] | None]) -> str:
         values = list(dict.fromkeys(m["protocol"].get(key) for m in metrics if m is not None))
         if len(values) > 1:
             said = ", ".join(shown(value) for value in values)
-            return f"These were measured with different {key} ({said}): no value is the best."
+            return f"These were measured with different {key} ({said}), so no best value is marked."
     return ""
 
 
@@ -223,7 +223,10 @@ def _parameters(runs: Sequence[Compared]) -> str:
             ]
             rows.append((f"{html.escape(stage)}: {named(key)}", *cells))
     if not rows:
-        return "<h2>Parameters</h2><p>All parameters of what both have run are the same.</p>"
+        return (
+            "<h2>Parameters</h2><p>All parameters of the stages that all runs have are the "
+            "same.</p>"
+        )
     return f"<h2>Parameters that differ</h2>{table(_head(runs), rows, 'numbers')}"
 
 

@@ -22,7 +22,7 @@ STAGES = ("classify", "init", "sphere-train", "volume", "shade", "baseline", "fa
 CAPTIONS = {
     "surfaces": "Initial Voronoi surface, trained polygons, and the surface as written: the "
     "interface of the real Voronoi diagram.",
-    "appearance": "The appearance that was learned, from new sides.",
+    "appearance": "The appearance that was learned, from new directions.",
     "cutaway": "The volumetric mesh cut open; inner cells in orange.",
     "lamp": "The object as it will be printed, lit and by day. Without --render the light casts no "
     "shadows.",

@@ -84,8 +84,9 @@ def evaluations(found: Evaluations) -> str:
     first = next(iter(found.values()))["metrics"]["protocol"]
     head = ("", *(html.escape(stem.removeprefix("evaluate-")) for stem in found), "ideal")
     about = (
-        f"{first['samples']:,} samples on each surface; {first['frame']}. The ideal of CD² between "
-        "samples is what two samplings of one surface give; of curvature it is the reference's own."
+        f"{first['samples']:,} samples on each surface; {first['frame']}. Ideal values: for "
+        "CD² between samples, what two samplings of one surface give; for curvature, that "
+        "of the reference."
     )
     details = "".join(
         f"<details><summary>All figures of {html.escape(stem)}</summary>"

@@ -198,8 +198,8 @@ def raw_cells(
     place = _places(pairs[outer], added + boundary.generators)
     if place is None or not same_rings(faces.select_faces(outer), place, boundary.mesh):
         raise NumericalFailure(
-            "the faces of the cells at the boundary are not those of the surface: the inner "
-            "generators changed it"
+            "the outer faces of the cells are not those of the surface, so the inner "
+            "generators changed it; lower --inner"
         )
     return _assembled(
         faces.select_faces(~outer), owner[~outer], neighbour[~outer],

@@ -87,8 +87,8 @@ class Use:
         if not self.failures:
             return None
         return (
-            f"--backend {self.name} failed in {len(self.failures)} of {self.diagrams} diagrams "
-            f"({self.failures[0]}); scipy did those"
+            f"--backend {self.name} failed in {len(self.failures)} of {self.diagrams} "
+            f"diagrams ({self.failures[0]}); scipy computed those instead"
         )
 
 
@@ -102,7 +102,8 @@ def backend(name: str) -> Iterator[Use]:
 
     if name != "scipy" and find_spec(name) is None:
         raise BackendMissing(
-            f"--backend {name}: not installed; pip install 'vorolight[fast]', or --backend scipy"
+            f"--backend {name}: not installed; run: pip install 'vorolight[fast]', or use "
+            "--backend scipy"
         )
     use = Use(name)
     token = _USED.set(use)
@@ -135,15 +136,21 @@ def in_passing(generators: Floats) -> Tetrahedra:
 
 def _checked(generators: Floats, method: Backend) -> Tetrahedra:
     if len(generators) < 5:
-        raise NumericalFailure(f"{len(generators)} generators are too few for a Voronoi diagram")
+        raise NumericalFailure(
+            f"{len(generators)} generators are too few for a Voronoi diagram; raise -n"
+        )
     if not np.isfinite(generators).all():
-        raise NumericalFailure("a generator is not finite: the optimisation diverged")
+        raise NumericalFailure(
+            "a generator is not finite, since the optimisation diverged; lower the learning rate"
+        )
     corners, neighbours = method(generators)
     present = np.zeros(len(generators), dtype=bool)
     present[corners] = True
     # Backends leave out what coincides.
     if not present.all() and len(np.unique(generators, axis=0)) < len(generators):
-        raise NumericalFailure("two generators coincide")
+        raise NumericalFailure(
+            "two generators coincide, so there is no face between them; change -n a little"
+        )
     return _in_order(corners, neighbours, len(generators))
 
 

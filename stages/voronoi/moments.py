@@ -76,7 +76,9 @@ def _sums(tree: Any, generators: Floats, cells: Ints, density: Grid | None) -> F
         wanted = min(neighbours + 1, len(generators))
         distance, around = tree.query(generators[cells[left]], k=wanted)
         if (distance[:, 1] == 0).any():
-            raise NumericalFailure("two generators coincide")
+            raise NumericalFailure(
+                "two generators coincide, so there is no face between them; change --inner a little"
+            )
         status = np.zeros(len(left), dtype=np.int64)
         found = np.zeros((len(left), 6))
         clipping.cell_sums(

@@ -89,8 +89,8 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         beyond = neighbours[tet, corner]
         if (beyond < 0).any():
             raise NumericalFailure(
-                "a Voronoi face of the surface is unbounded, as generators strayed; raise -n, or "
-                "close the openings of the input"
+                "a Voronoi face of the surface is unbounded, since generators moved far "
+                "away; raise -n, or close the openings of the input"
             )
         then = BEYOND[corner, back[tet, corner], edge]
         leaving[:, side] = 2 * incidence[beyond, then >> 1] + (then & 1)
@@ -108,7 +108,9 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         walked[starts[active] + step] = state[active]
         state[active] = following[state[active]]
     if not np.array_equal(state, origin) or (np.bincount(walked >> 1) > 1).any():
-        raise NumericalFailure("the Delaunay tetrahedra do not close around an edge")
+        raise NumericalFailure(
+            "the Delaunay tetrahedra do not close around an edge; change -n a little"
+        )
 
     def wedges(walk: Ints) -> tuple[Floats, NDArray[np.bool_]]:
         """Six times the volumes that states turn by about first -> second (tetrahedra come without

@@ -58,18 +58,20 @@ class Written:
         said = []
         if self.conformity.pair_faces < count:
             said.append(
-                f"{count - self.conformity.pair_faces} of {count} trained faces have no face in "
-                "the diagram"
+                f"{count - self.conformity.pair_faces} of {count} trained faces are missing "
+                "in the written surface, since the diagram has no face between their "
+                "generators"
             )
         merged = ""
         if merge and self.merged_within:
-            merged = f", slivers merged within {self.merged_within:.3f} h0"
+            merged = f", with slivers merged within {self.merged_within:.3f} h0"
         elif merge:
-            merged = ", its slivers not merged because that would change its topology"
+            merged = ", with its slivers, since merging them would change its topology"
         said.append(
-            f"no certificate ({', '.join(self.certificate.failed)} fails): the interface of the "
-            f"generators is written{merged}, {100 * self.conformity.pair_area_share:.2f} % of its "
-            "area between pairs"
+            f"no certificate ({', '.join(self.certificate.failed)} fails): the written "
+            f"surface is the interface of the generators{merged}; "
+            f"{100 * self.conformity.pair_area_share:.2f} % of its area lies between "
+            "generator pairs"
         )
         return said
 
