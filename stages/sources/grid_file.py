@@ -74,7 +74,7 @@ def _nrrd_error() -> type[Exception]:
 def _npz(path: Path) -> Samples:
     found = named_arrays(path)
     if "values" not in found:
-        raise InputError(f"{path}: has no array called 'values'; save the samples so")
+        raise InputError(f"{path}: has no array called 'values'; save the samples under this name")
     origin = np.asarray(found.get("origin", np.zeros(3)), dtype=np.float64)
     spacing = np.asarray(found.get("spacing", np.ones(3)), dtype=np.float64)
     if origin.shape != (3,) or spacing.shape not in ((), (1,), (3,)):
@@ -94,7 +94,7 @@ def _nrrd(raw: bytes) -> Samples:
         head, mark, body = raw.partition(b"\r\n\r\n")
     header: Any = nrrd.read_header(iter((head.replace(b"\r", b"") + b"\n\n").splitlines(True)))
     if {"data file", "datafile"} & set(header):
-        raise ValueError("its data lie in another file; save them attached")
+        raise ValueError("its data are in another file; save header and data in one file")
     shape = tuple(int(size) for size in header["sizes"])
     layout = np.dtype(("<" if header.get("endian", "little") == "little" else ">")
                       + _NRRD_TYPES[header["type"]])  # fmt: skip
@@ -121,7 +121,7 @@ def _nrrd(raw: bytes) -> Samples:
         order = np.argsort(along)
         values, axes = values.transpose(order), steps[order]
     if origin.shape != (3,) or axes.shape != (3,) or values.ndim != 3:
-        raise ValueError("it is no grid of three dimensions")
+        raise ValueError("it is not a three-dimensional grid")
     return _upward(values, origin, axes)
 
 
@@ -147,7 +147,7 @@ def _vti(raw: bytes) -> Samples:
     root = ElementTree.fromstring(text)
     image = root.find("ImageData")
     if root.get("type") != "ImageData" or image is None:
-        raise ValueError("it holds no ImageData")
+        raise ValueError("it has no ImageData")
     pieces = image.findall("Piece")
     arrays = pieces[0].findall("PointData/DataArray") if pieces else []
     scalars = [one for one in arrays if one.get("NumberOfComponents", "1") == "1"]
@@ -223,5 +223,5 @@ def _count(shape: tuple[int, ...]) -> int:
         raise ValueError(f"its samples have shape {shape}")
     count = int(np.prod(np.array(shape, dtype=object)))
     if count > LARGEST:
-        raise ValueError(f"{count} samples are more than {LARGEST}; thin them")
+        raise ValueError(f"{count} samples are more than {LARGEST}; reduce them")
     return count

@@ -48,11 +48,14 @@ def load(path: Path) -> LoadedMesh:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
     if mesh.vertex_count == 0 or mesh.face_count == 0:
         raise InputError(
-            f"{path}: holds {mesh.vertex_count} vertices and {mesh.face_count} faces, so no "
-            "surface; give a mesh with faces, or take it as a point cloud with --kind points"
+            f"{path}: has {mesh.vertex_count} vertices and {mesh.face_count} faces, so "
+            "no surface; give a mesh with faces, or use it as a point cloud with "
+            "--kind points"
         )
     if mesh.face_vertices.min() < 0 or mesh.face_vertices.max() >= mesh.vertex_count:
-        raise InputError(f"{path}: a face names a vertex that is not there; export the mesh again")
+        raise InputError(
+            f"{path}: a face refers to a vertex that does not exist; export the mesh again"
+        )
     mesh = mesh.without_unused_vertices()
     bad = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
     if bad:
@@ -98,8 +101,8 @@ def _without_compression(path: Path) -> None:
     for key, name in COMPRESSIONS.items():
         if key in text:
             raise InputError(
-                f"{path}: its geometry is compressed ({name}), which is not read; export it "
-                "without compression"
+                f"{path}: its geometry is compressed ({name}), which vorolight cannot "
+                "read; export it without compression"
             )
 
 
@@ -119,9 +122,9 @@ def _read_obj(path: Path) -> PolygonMesh:
             try:
                 ring = [int(word.split(b"/", 1)[0]) for word in words[1:]]
             except ValueError:
-                raise ValueError(f"line {number} is no face") from None
+                raise ValueError(f"line {number} is not a face") from None
             if 0 in ring:
-                raise ValueError(f"line {number} names vertex 0, but OBJ counts from 1")
+                raise ValueError(f"line {number} refers to vertex 0, but OBJ counts from 1")
             if len(ring) > 2:
                 corners.extend(index - 1 if index > 0 else len(vertices) + index for index in ring)
                 offsets.append(len(corners))
@@ -139,7 +142,7 @@ def _read_trimesh(path: Path) -> PolygonMesh:
     known = trimesh.available_formats()
     if path.suffix.lower().lstrip(".") not in known:
         if path.suffix.lower() in (".gz", ".zip", ".xz", ".bz2", ".7z"):
-            raise InputError(f"{path}: is packed; unpack it, and give the file that is in it")
+            raise InputError(f"{path}: is compressed; unpack it, and give the file inside")
         raise InputError(
             f"{path}: files of kind '{path.suffix}' are not read; convert a mesh to OBJ, PLY, STL "
             "or 3MF, points to PLY, PCD or CSV, samples on a grid to NRRD, VTI or NPY"

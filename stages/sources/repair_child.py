@@ -46,7 +46,7 @@ def repaired(mesh: PolygonMesh, name: str) -> PolygonMesh:
         with np.load(found) as arrays:
             vertices, triangles = arrays["vertices"], arrays["triangles"].astype(np.int64)
     if len(triangles) == 0:
-        raise InputError(f"{name}: --repair leaves no face of it; leave it out")
+        raise InputError(f"{name}: --repair removes every face; leave it out")
     return PolygonMesh.of_triangles(low + size * vertices, triangles).without_unused_vertices()
 
 
