@@ -97,7 +97,7 @@ def _conforming(context: Context) -> Outcome:
     trained, corners = polygons.placed(), polygons.spheres
 
     def resisting() -> str:
-        return f"another face's generator is in {where(spheres, frame, context.threads)}"
+        return where(spheres, frame, context.threads)
 
     points, square = corners.generators()
     count = trained.face_count

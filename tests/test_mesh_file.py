@@ -94,7 +94,7 @@ def test_concave_faces_are_triangulated(turned: bool, tmp_path: Path) -> None:
 
 def test_packed_files_are_to_be_unpacked(tmp_path: Path) -> None:
     (tmp_path / "ball.stl.gz").write_bytes(b"\x1f\x8b")
-    with pytest.raises(InputError, match="is packed; unpack it"):
+    with pytest.raises(InputError, match="is compressed; unpack it"):
         MeshSource(tmp_path / "ball.stl.gz")
 
 
@@ -158,5 +158,7 @@ def test_compressed_geometry_is_named(tmp_path: Path) -> None:
         head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text)).to_bytes(4, "little")
         (tmp_path / "a.glb").write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text)
         for ending in ("gltf", "glb"):
-            with pytest.raises(InputError, match=f"compressed \\({name}\\), which is not read"):
+            with pytest.raises(
+                InputError, match=f"compressed \\({name}\\), which vorolight cannot read"
+            ):
                 MeshSource(tmp_path / f"a.{ending}")

@@ -193,7 +193,7 @@ def test_repair_closes_and_is_said(tmp_path: Path) -> None:
     mended.repair = True
     assert mended.open_edges == 0
     assert mended.topology() == (2, 1)
-    assert "bad edges are now" in mended.warnings()[0]
+    assert "the mesh was repaired" in mended.warnings()[0]
     assert source.path.read_bytes() == before
     again = MeshSource(source.path)
     again.restore(mended.state())
@@ -251,7 +251,7 @@ def test_a_mesh_that_encloses_nothing_is_a_sheet(tmp_path: Path) -> None:
     assert found.tolist() == [True, False, True]
     # Marching cubes cuts off the round rims.
     assert enclosed_volume(source.vertices, source.triangles) == pytest.approx(volume, rel=0.03)
-    assert "4 bad edges" in source.warnings()[0]
+    assert "4 edges are not in two faces" in source.warnings()[0]
     again = MeshSource(square)
     again.restore(source.state())
     assert np.array_equal(again.vertices, source.vertices)
