@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from .surface.polygons import Floats
 
 SAMPLES = 150
-"""Samples for each square of the grid's side: 153,600 at 32."""
+"""Number of samples divided by the square of the grid's nodes along a side: 153,600 samples at
+32."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class Params(contract.Params):
 
 
 def run(context: Context) -> Outcome:
-    """Samples, generators near them, Adam on the VoroLoss, labels, and the interface."""
+    """Sample the surface, place generators, train them by Adam on the VoroLoss, label them, and
+    extract the interface."""
     from concurrent.futures import ThreadPoolExecutor
 
     import torch
@@ -143,7 +145,7 @@ def _warnings(euler: int, components: int, expected: tuple[int, int] | None) -> 
 
 
 def _judge(context: Context) -> Source:
-    """Who says what is inside. Raises InputError for what has no inside of its own."""
+    """The source that decides what is inside. Raises InputError for a source without an inside."""
     from .sources.resolve import identify
 
     named = context.params.labels
@@ -156,8 +158,11 @@ def _judge(context: Context) -> Source:
 
 
 def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
-    """Samples of the surface in the method's cube, in the order of the grid's boxes, which lets
-    those that are worked on together be near one another, and the cube's frame."""
+    """Samples of the surface in the method's cube, and the frame of that cube.
+
+    They are in the order of the grid's boxes, so that samples that are processed together are close
+    in memory.
+    """
     import numpy as np
 
     from .baselines.sampling import DRAWN, even
@@ -174,7 +179,8 @@ def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
         points = even(source.surface_samples(DRAWN * count, random), count, context.threads)
     box = source.bounding_box()
     if isinstance(source, FieldSource | PointSource):
-        # A field's box is what is searched, that of the surface made of points is not theirs.
+        # A field's box is the search region; the box of the surface made of points is not that of
+        # the points.
         box = np.stack([points.min(axis=0), points.max(axis=0)])
     frame = CubeFrame.of_box(box)
     samples = frame.cube_from_input(points)

@@ -144,7 +144,7 @@ def run(context: Context) -> Outcome:
 
 
 def _fit(source: ViewSource, context: Context) -> None:
-    """Make the surface that stands for views, with a progress of its own."""
+    """Make the surface that stands for views, with its own progress bar."""
     from .sources.view_fit import rounds
 
     source.votes, source.threads = context.params.mask_votes, context.threads

@@ -45,7 +45,7 @@ class Params(contract.Params):
 
 
 def run(context: Context) -> Outcome:
-    """The paper's appendix B, and beside it what does not depend on samples."""
+    """The paper's appendix B, and in addition figures that do not depend on samples."""
     import numpy as np
 
     from .artifacts.manifest import foreign
@@ -79,7 +79,7 @@ def run(context: Context) -> Outcome:
     if field is None:
         low, high = source.bounding_box()
         true_area = float(geometry.triangle_areas(source.vertices, source.triangles).sum())
-    else:  # a field's box is what is searched, not the shape's; its area is not known
+    else:  # a field's box is its search region, not that of the shape; its area is not known
         low, high = reference.min(axis=0), reference.max(axis=0)
         true_area = area
     name = params.reference or source.name
@@ -187,9 +187,10 @@ def run(context: Context) -> Outcome:
 
 
 def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[str]:
-    """What makes a comparison of a surface, with those ``corners``, to a reference doubtful.
+    """Reasons why the comparison of a surface, given by its ``corners``, with a reference is
+    doubtful.
 
-    Raises InputError when there is nothing to compare.
+    Raises InputError if the two cannot be compared.
     """
     import numpy as np
 
@@ -230,7 +231,8 @@ def _box(box: Floats) -> str:
 
 
 def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[str, Any] | None:
-    """Of a run on views: intersection over union of their masks and the surface as they see it."""
+    """For a run on views: intersection over union of the masks and the surface as the cameras see
+    it."""
     recorded = context.folder.manifest("classify")
     if recorded is None or recorded["inputs"][0]["kind"] != "views":
         return None
@@ -244,7 +246,7 @@ def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[s
 
 
 def _surface(context: Context) -> PolygonMesh:
-    """What is measured. Raises InputError for a file without a surface."""
+    """The surface that is measured. Raises InputError for a file without a surface."""
     from .surface.polygons import PolygonMesh
 
     params = context.params
@@ -260,7 +262,8 @@ def _surface(context: Context) -> PolygonMesh:
 
 
 def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[str, Any]:
-    """The trained polygons' own figures, and conformity recomputed from the files."""
+    """Figures of the trained polygons, and conformity and certificate computed again from the
+    files."""
     import numpy as np
 
     from .metrics import curvature
@@ -343,7 +346,7 @@ def _memory(context: Context) -> float:
         path = Path(params.surface)
         corners = path.stat().st_size // 8 if path.is_file() else 0
     else:
-        # The volume's surface is the trained one's.
+        # The surface of stage volume is the trained one.
         of = "sphere-train" if params.of == "volume" else params.of
         corners = len(context.arrays(of)["surface/face_vertices"])
     return peak(500.0, 300.0 + 1e-4 * samples, 6.0, corners)

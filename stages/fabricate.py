@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from .surface.polygons import PolygonMesh
 
 BESIDE = 10.0
-"""From the object to its lid in the 3MF, mm."""
+"""Distance in the 3MF file between the object and its lid, in mm."""
 
 
 def run(context: Context) -> Outcome:
-    """Fabrication as in the paper's appendix E.2: tubes along even cells, or the trained faces.
+    """Make the object (paper's appendix E.2): tubes along even cells or along the trained faces.
 
-    Of trained triangles the dual is drawn, a polygon around each vertex.
+    For trained triangles the tubes follow the dual, a polygon around each vertex.
     """
     from .fabrication import lattice, products, slicer
     from .fabrication.even_cells import even_cells
@@ -38,7 +38,7 @@ def run(context: Context) -> Outcome:
 
     params = context.params
     if params.slice:
-        slicer.program()  # a slicer that would be missing in the end is said at once
+        slicer.program()  # a missing slicer is reported now, not at the end
     trained = context.arrays("sphere-train")
     polygons, surface = (
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
@@ -76,7 +76,7 @@ def run(context: Context) -> Outcome:
 
 
 def _scale(surface: PolygonMesh, asked: Request) -> float:
-    """Millimetres of the object a unit of the input."""
+    """Millimetres of the object divided by units of the input."""
     import numpy as np
 
     from .fabrication import lamp
@@ -131,7 +131,7 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         ),
     }
     if made.lid is not None:
-        # Beside the object, where it can be printed: locked inside it the two would fuse.
+        # Beside the object, where it can be printed: locked inside the object, the two would fuse.
         right = part.vertices[:, 0].max() - made.lid.vertices[:, 0].min() + np.float32(BESIDE)
         beside = made.lid.vertices + np.array([right, 0, 0], np.float32)
         bodies.append(threemf.Body("lid", beside, made.lid.triangles))
@@ -202,7 +202,7 @@ def _memory(context: Context) -> float:
         if params.needs_volume
         else context.arrays("sphere-train")["trained/face_vertices"]
     )
-    # An edge has two faces on a surface, and about three in a volume, of which each is held once.
+    # An edge has two faces on a surface and about three in a volume; each face is counted once.
     return peak(400.0, 300.0, each, len(corners) / (3 if params.needs_volume else 2))
 
 

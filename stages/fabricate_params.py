@@ -141,7 +141,7 @@ class Params(contract.Params):
             raise UsageError("--explode: only cells can be drawn apart; add --cells")
 
     def _check_combinations(self) -> None:
-        """Options that would be ignored are refused."""
+        """Refuse options that would have no effect."""
         defaults = {field.name: field.default for field in fields(self)}
         lit = self.mode in ("lamp", "cells") and self.explode == 1
         for here, why, names in (
@@ -208,7 +208,8 @@ class Params(contract.Params):
 
     @property
     def cell_width(self) -> float | None:
-        """Of the cells on the surface in mm; None where they are its own faces."""
+        """Width of the cells on the surface in mm; None if the surface's own faces are the
+        cells."""
         if self.cell_size is None and self.mode == "lamp" and self.which_edges == "surface":
             return max(self.height / CELLS, 20 * self.nozzle)
         return self.cell_size

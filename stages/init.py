@@ -205,7 +205,7 @@ def surface_losses(
     shape_loss: ShapeLoss | ImageLoss,
     iteration: int = 0,
 ) -> dict[str, torch.Tensor]:
-    """The losses of the interface of ``generators (N, 3)``, in a diagram of their own."""
+    """The losses of the interface of ``generators (N, 3)``, for which a new diagram is computed."""
     import torch
 
     from .losses import regularization, shape
@@ -232,8 +232,8 @@ def surface_losses(
 def _first_generators(
     context: Context, grid: VoxelGrid, frame: ModelFrame
 ) -> tuple[Floats, NDArray[np.bool_], int, tuple[int, int] | None]:
-    """Generators in model units, their labels, how often voxels were divided, and the input's
-    Euler number and components if they are known."""
+    """Generators in model units, their labels, how often voxels were divided, and the input's Euler
+    number and components if they are known."""
     import numpy as np
 
     from .surface.topology import topology
@@ -246,8 +246,8 @@ def _first_generators(
     expected = source.topology()
     if context.params.start == "voxels":
         start, inside = reflect(grid)
-        # Mirrored in a flat face the lattice of voxel centres goes on as a lattice, whose
-        # tetrahedra have no circumcentre to differentiate; a thousandth of a voxel off it they do.
+        # Voxel centres mirrored in a flat face form a lattice again. Its tetrahedra have no unique
+        # circumcentre to differentiate; a shift of a thousandth of a voxel prevents this.
         start = start + JITTER * grid.spacing * context.random("jitter").standard_normal(
             start.shape
         )
@@ -265,7 +265,7 @@ def _first_generators(
             continue
         kept = np.zeros(len(start), dtype=bool)
         kept[raw.generators] = True
-        kept[-FAR:] = True  # while the others move, these bound the diagram
+        kept[-FAR:] = True  # These stay fixed and bound the diagram while the others move.
         facts = topology(clean(raw, spacing=1.0).mesh)
         wrong = 0
         if expected is not None:
@@ -283,7 +283,7 @@ def _first_generators(
 
 
 def _memory(context: Context) -> float:
-    # About as many generators as voxels of the exterior band.
+    # There are about as many generators as voxels in the exterior band.
     return peak(600.0, 400.0, 12.0, float(context.arrays("classify")["exterior"].sum()))
 
 

@@ -1,5 +1,5 @@
-"""Checks of what is installed: versions against the bounds that vorolight declares, and whether
-each library does here what it is needed for."""
+"""Checks of the installation: versions against the declared bounds, and one real use of each
+library."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENABLES = {
     "images": "pictures of phones (HEIC)",
     "cluster": "tables as .parquet, workflows on many machines",
 }
-"""What each extra is for; those of developers are left out."""
+"""The purpose of each extra; extras for developers are left out."""
 
 
 def python(folder: Path) -> Iterator[Finding]:
@@ -41,7 +41,7 @@ def release(version: str) -> tuple[int, ...]:
 
 
 def requirements(extra: str | None) -> list[tuple[str, str]]:
-    """Names and lowest versions that vorolight declares to need, or for ``extra``."""
+    """Names and lowest versions of the declared dependencies, or of those of ``extra``."""
     found = []
     for text in metadata.requires("vorolight") or []:
         wanted, _, marker = text.partition(";")
@@ -115,7 +115,7 @@ def _mean(values: Any) -> float:
 
 
 def kernels(folder: Path) -> Iterator[Finding]:
-    """Compiles a loop as the others are, and takes away what that leaves in the cache."""
+    """Compile a loop, and remove what that leaves in the cache."""
     import numpy as np
 
     from .compiled import compiled
@@ -139,7 +139,7 @@ def kernels(folder: Path) -> Iterator[Finding]:
 
 
 def torch_operations(folder: Path) -> Iterator[Finding]:
-    """Operations that training uses, in the way that gives the same bits every time."""
+    """Check operations of the training in the mode that gives the same bits every time."""
     import torch
 
     from . import standing, torch_start
@@ -207,7 +207,8 @@ def hdf5(folder: Path) -> Iterator[Finding]:
 
 
 def repair(folder: Path) -> Iterator[Finding]:
-    """By pymeshlab, in its own child process: a tetrahedron without a face is closed."""
+    """Repair with pymeshlab, in its own child process: it must close a tetrahedron that lacks a
+    face."""
     import numpy as np
 
     from .sources.repair_child import repaired

@@ -1,4 +1,4 @@
-"""Checks of the machine: processors, memory, GPU, the place for runs, programs beside vorolight."""
+"""Checks of the machine: processors, memory, GPU, the folder for runs, and optional programs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .doctor import Finding
 from .errors import BackendMissing, UsageError
 
 ENOUGH_GB, LEAST_GB = 3.0, 0.6
-"""Memory for a whole run of the default size, and what its first stages take."""
+"""Memory for a whole run of the default size, and for its first stages, in GB."""
 ROOM_GB, LEAST_ROOM_GB = 2.0, 0.1
-"""Free space for a few runs, and for one."""
+"""Free disk space for a few runs, and for one, in GB."""
 NETWORK = {
     "9p", "afs", "beegfs", "ceph", "cifs", "fuse.glusterfs", "fuse.sshfs", "gpfs", "lustre", "nfs",
     "nfs4", "panfs", "pvfs2", "smb3", "smbfs", "wekafs",
 }  # fmt: skip
-"""Kinds of file systems that other machines may write to at the same time."""
+"""Kinds of file systems to which other machines may write at the same time."""
 VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -95,7 +95,7 @@ def disk(folder: Path) -> Iterator[Finding]:
 
 
 def _existing(folder: Path) -> Path:
-    """``folder``, or the one that it would be created in."""
+    """``folder``, or the existing folder in which it would be created."""
     place = folder.resolve()
     while not place.is_dir():
         place = place.parent
@@ -111,7 +111,7 @@ def _file_system(place: Path) -> str | None:
 
 
 def files(folder: Path) -> Iterator[Finding]:
-    """Writes files as runs do, in a folder of its own that is gone afterwards."""
+    """Write files as runs do, in a temporary folder."""
     place = _existing(folder)
     try:
         with tempfile.TemporaryDirectory(prefix=".vorolight-doctor-", dir=place) as name:

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from .surface.polygons import Floats, Ints, PolygonMesh
 
 SHARE, MOST = 0.75, 8_000
-"""Of the valid pixels of a view that a step looks at, and how many at most."""
+"""Share of the valid pixels of a view that a step uses, and their largest number."""
 CHECKPOINT_EVERY = 20
 ELEVATION = 15.0
-"""Of the cameras of an orbit, in degrees."""
+"""Elevation of the cameras of an orbit, in degrees."""
 SAMPLES = 2
-"""Rays a pixel of a picture, along each side."""
+"""Number of rays for each pixel, along each side."""
 WORTH_SAYING = 0.01
-"""Share of the surface."""
+"""Share of the surface from which on a warning is given."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,8 @@ class Geometry:
     normals: Floats
 
     def seen(self, camera: Camera) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-        """Rows, columns, points, unit normals and unit rays of what ``camera`` sees."""
+        """Rows, columns, points, unit normals and unit rays of the pixels in which ``camera`` sees
+        the surface."""
         import numpy as np
 
         from .render.drawing import fragments
@@ -84,7 +85,7 @@ class Geometry:
         return hit.rows, hit.columns, point, normal, rays
 
     def unseen(self, cameras: Sequence[Camera]) -> float:
-        """Share of the surface, by area, that none of the ``cameras`` sees."""
+        """Share of the surface, by area, that none of ``cameras`` sees."""
         import numpy as np
 
         from .losses.images import visible
@@ -94,13 +95,13 @@ class Geometry:
         for camera in cameras:
             seen = visible(camera, camera.project(self.vertices), self.triangles)
             found[self.triangles[np.unique(seen[seen >= 0])]] = True
-        # A triangle smaller than a pixel is seen where its neighbour is.
+        # A triangle smaller than a pixel counts as seen if its neighbour is.
         area = triangle_areas(self.vertices, self.triangles)
         return float(area[~found[self.triangles].any(axis=1)].sum() / area.sum())
 
 
 def run(context: Context) -> Outcome:
-    """Train the shader on one view a step (paper's appendix A.1, L_shading)."""
+    """Train the shader, on one view in each step (paper's appendix A.1, L_shading)."""
     import numpy as np
     import torch
 
@@ -190,9 +191,9 @@ def run(context: Context) -> Outcome:
 
 
 def split(count: int, held_out: int | None) -> tuple[Ints, Ints]:
-    """Numbers of the views to train on, and of those held out, spread evenly.
+    """Numbers of the views to train on, and of the other views, spread evenly.
 
-    Raises UsageError when none would be left.
+    Raises UsageError if no view would be left to train on.
     """
     import numpy as np
 
@@ -208,7 +209,7 @@ def split(count: int, held_out: int | None) -> tuple[Ints, Ints]:
 
 
 class Pixels:
-    """What the views show of a surface, one view at a time; kept where it is not much."""
+    """The pixels of a surface in the views, one view at a time; small sets are kept in memory."""
 
     MOST = 6_000_000
 
@@ -236,7 +237,7 @@ class Pixels:
         return found
 
     def share(self, view: int) -> float:
-        """Of the pixels of a mask, those that the surface covers."""
+        """Which pixels of a mask the surface covers."""
         from .render.views import COVERED
 
         return len(self.of(view)[0]) / int((self.source.views.masks[view] >= COVERED).sum())
@@ -252,8 +253,8 @@ def psnr(shader: Shader, pixels: Pixels, view: int) -> float:
 
 
 def baked(mesh: PolygonMesh, geometry: Geometry, shader: Shader) -> dict[str, bytes]:
-    """The surface with colours at its vertices, seen from straight ahead: polygons as PLY,
-    triangles as GLB."""
+    """The surface with colours at its vertices, seen along the normal: polygons as PLY, triangles
+    as GLB."""
     import numpy as np
 
     from .export import glb, ply
@@ -269,14 +270,14 @@ def baked(mesh: PolygonMesh, geometry: Geometry, shader: Shader) -> dict[str, by
 def orbit(
     source: ViewSource, geometry: Geometry, shader: Shader, frames: int, size: int
 ) -> dict[str, bytes]:
-    """Pictures of a way around the object, about the mean upward direction of the cameras."""
+    """Pictures from all around the object; the axis is the mean upward direction of the cameras."""
     import numpy as np
 
     from .render import image_file
     from .render.cameras import looking
 
     up = -np.mean([camera.rotation[1] for camera in source.views.cameras], axis=0)
-    # Cameras that are turned every way say nothing of it.
+    # Cameras that are turned in all directions have no mean upward direction.
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.3 else np.array([0.0, 0.0, 1.0])
     first = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     first /= np.linalg.norm(first)

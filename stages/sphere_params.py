@@ -128,7 +128,8 @@ class Params(contract.Params):
 
     @property
     def angle(self) -> float | None:
-        """Degrees from which on an edge of the input is a crease. Raises UsageError."""
+        """Smallest angle in degrees by which an edge of the input bends to be a crease. Raises
+        UsageError."""
         if self.sharp == "off":
             return None
         if self.sharp == "auto":
@@ -155,7 +156,8 @@ class Params(contract.Params):
 
     @property
     def spacing(self) -> Spacing:
-        """The edge lengths of the triangles; refined ones start with half of their number."""
+        """The edge lengths of the triangles. With --refine the training starts with half of their
+        number."""
         from .surface.spacing import Spacing
 
         faces = self.faces_target

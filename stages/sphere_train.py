@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from .voronoi.certificate import Certificate
 
 SMALLEST_OFFSET = 0.05
-"""In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
+"""Smallest distance of a pair from its face, in units of the spacing. Closer pairs are moved out to
+it."""
 
 
 def run(context: Context) -> Outcome:
-    """Spheres and pairs of generators (the paper's sections 3.3 and 3.4), then the surface."""
+    """Train spheres and pairs of generators (the paper's sections 3.3 and 3.4), and write the
+    surface."""
     torch_start.start(context.threads)
     if context.params.by_adam:
         return _as_in_the_paper(context)
@@ -44,7 +46,7 @@ def _on_cpu(context: Context) -> list[str]:
 
 
 def _conforming(context: Context) -> Outcome:
-    """Triangles, remeshed and trained until they conform, and the polygons merged of them."""
+    """Remesh triangles and train them until they conform, then merge polygons of them."""
     import numpy as np
 
     from .optimize.agreement import Polygons
@@ -118,7 +120,7 @@ def _conforming(context: Context) -> Outcome:
 
 
 def _as_in_the_paper(context: Context) -> Outcome:
-    """The paper's training of the initial surface, then the diagram of all pairs."""
+    """Train the initial surface as the paper does, and compute the diagram of all pairs."""
     import numpy as np
 
     from .losses import shape
@@ -166,7 +168,7 @@ def _labelled(
     metrics: dict[str, Any],
     warnings: list[str],
 ) -> Outcome:
-    """The outcome of polygons whose generators ``ahead, behind (F, 3)`` are to be labelled."""
+    """The outcome for polygons whose generators ``ahead, behind (F, 3)`` have no labels yet."""
     import numpy as np
 
     from .voronoi.pairs import label_pairs
@@ -199,9 +201,10 @@ def _outcome(
     warnings: list[str],
     resisting: Callable[[], str] | None = None,
 ) -> Outcome:
-    """The certificate, the surface it allows to write, and the files in the input's coordinates.
+    """Certify the surface, and make its files in the coordinates of the input.
 
-    Raises NumericalFailure where triangles have no certificate and must: ``resisting`` says where.
+    Raises NumericalFailure if a certificate is required and missing; ``resisting`` gives the reason
+    and the places.
     """
     from functools import partial
 
@@ -273,7 +276,7 @@ def _outcome(
 
 
 def _memory(context: Context) -> float:
-    # At the default edge length there are about as many triangles as faces of the first surface.
+    # At the default edge length there are about as many triangles as faces in the first surface.
     params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0
     if not params.by_adam:
         faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2

@@ -58,7 +58,10 @@ class Params(contract.Params):
 
 
 def run(context: Context) -> Outcome:
-    """The paper's section 3.6 and appendix C.2; quasi-Newton steps lower the CVT energy."""
+    """Place inner generators and make the cells (the paper's section 3.6 and appendix C.2).
+
+    Quasi-Newton steps lower the CVT energy.
+    """
     import numpy as np
 
     from .errors import InputError, NumericalFailure, UsageError
@@ -107,7 +110,8 @@ def run(context: Context) -> Outcome:
     except NumericalFailure:
         if bounded.again is None:
             raise
-        # Where many generators lie on one sphere the diagram is divided in another way than before.
+        # Where many generators lie on one sphere, the new diagram divides it in another way than
+        # before.
         actual, changed = bounded.again(generators, inside, diagram)
         raw = raw_cells(generators, inside, diagram, actual)
         surface, as_written = actual.mesh, False
@@ -145,7 +149,7 @@ def run(context: Context) -> Outcome:
     inner_size = float(np.cbrt(moments.volume.mean()))
 
     placed = frame.input_from_model(mesh.faces.vertices)
-    if as_written:  # the surface's vertices are those of the file, to the bit
+    if as_written:  # The surface's vertices are those of the file, to the last bit.
         placed[: written.vertex_count] = written.vertices
     output = mesh.with_vertices(placed)
     found = polyhedra.quality(output)
@@ -202,20 +206,21 @@ def run(context: Context) -> Outcome:
 
 @dataclass(frozen=True)
 class _Bounded:
-    """What inner generators must leave alone, and what their cells end at."""
+    """What inner generators must not touch, and the surface at which their cells end."""
 
     guard: Guard
     boundary: Boundary
     recheck: Callable[[Floats], None]
-    """Called with the inner generators; raises NumericalFailure where they change the surface."""
+    """Called with the inner generators. Raises NumericalFailure if they change the surface."""
     warnings: list[str]
     again: Callable[[Floats, Any, Any], tuple[Boundary, int]] | None = None
-    """Called with all generators, their labels and their diagram, it gives the boundary that is
-    there, and how many faces differ from those written; None where there is a certificate."""
+    """Called with all generators, their labels and their diagram. It returns the actual boundary
+    and the number of faces that differ from the written ones. None if there is a certificate."""
 
 
 def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Bounded:
-    """From the trained surface where the certificate holds, else from the real interface."""
+    """The bounds from the trained surface if the certificate holds, else from the actual
+    interface."""
     import numpy as np
 
     from .artifacts.manifest import foreign
@@ -240,7 +245,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     radii = trained["spheres/radius"] / frame.spacing
 
     if certified:
-        # As far outside the spheres as the certificate asks.
+        # As far outside the spheres as the certificate requires.
         guard = Guard(boundary, labels, surface.vertices, np.sqrt(radii**2 + 2 * MARGIN))
 
         def still_certified(points: Floats) -> None:
@@ -262,7 +267,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     anchors = PolygonMesh.from_arrays(trained, "trained/").vertices
 
     def cleaned(raw: VoronoiSurface) -> CleanSurface:
-        """As sphere-train did."""
+        """Clean the interface as stage sphere-train did."""
         return clean(
             raw, 1.0, anchors=frame.model_from_input(anchors) if drawn else None,
             reach=reach if drawn else 0.0,
@@ -300,8 +305,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
 def _sizes(
     params: Params, frame: ModelFrame, surface: PolygonMesh, guard: Guard, threads: int
 ) -> tuple[Sizes | None, int]:
-    """The sizes that --grading asks for (None: all are equal), and how many inner cells there are
-    to be."""
+    """The cell sizes for --grading (None if all are equal), and the number of inner cells."""
     import math
 
     import numpy as np
@@ -337,7 +341,7 @@ def _sizes(
 def _descend(
     context: Context, guard: Guard, count: int, sizes: Sizes | None, mean_area: float
 ) -> Descent | PaperDescent:
-    """Inner generators, sampled and evened out; resumes from the newest checkpoint."""
+    """Sample inner generators and even them out; continues from the newest checkpoint."""
     from .optimize.cvt import Descent, PaperDescent
     from .voronoi.interior import sample
 

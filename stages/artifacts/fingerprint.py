@@ -1,4 +1,4 @@
-"""Hashes that decide whether a result is still what its inputs and options give."""
+"""Hashes that decide whether a result still belongs to its inputs and options."""
 
 from __future__ import annotations
 
