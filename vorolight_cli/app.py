@@ -69,7 +69,7 @@ FIRST = ("init", "baseline")
 
 
 def _taken(template: Function, given: dict[str, Any]) -> Any:
-    """Call ``template`` with its parameters, taken out of ``given``."""
+    """Call ``template`` with its parameters, which are removed from ``given``."""
     return template(**{name: given.pop(name) for name in inspect.signature(template).parameters})
 
 
@@ -118,7 +118,7 @@ def guarded(function: Function) -> Function:
             text = plain(f"{place}: {error.strerror or error}; remove the cause and run again")
             print(f"vorolight: {text}", file=sys.stderr)
             raise typer.Exit(UsageError.exit_code) from None
-        # Whatever else arrives here is a fault of ours; the user still gets one sentence.
+        # Any other exception is a fault of vorolight; the user still gets one sentence.
         except Exception as error:
             if kwargs.get("verbose"):
                 traceback.print_exc()
@@ -179,8 +179,11 @@ def _stage_command(name: str) -> None:
 
 
 def _register(name: str, command: Function, templates: list[Function], served: list[Stage]) -> None:
-    """Add a command. Its options are put together only if it may be the one that is called, or that
-    a shell asks to complete: for all of them that takes as long as the rest of ``--help``."""
+    """Add a command.
+
+    Its options are built only if the command may be the one that is called, or that a shell asks to
+    complete: building those of all commands takes as long as the rest of ``--help``.
+    """
     completed = (os.environ.get(key, "") for key in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))
     if name in [*sys.argv, *" ".join(completed).split()]:
         command = guarded(add_options(command, templates, served))
@@ -240,7 +243,7 @@ def _run_command() -> None:
         names = parameter_names(stages)
         until = _taken(_until, given)
         common = _taken(common_options, given)
-        # Without an INPUT the run goes on at the resolution it was begun with.
+        # Without an INPUT the run continues at its recorded resolution.
         stored = None if common.session.input else common.session.folder.manifest("classify")
         recorded = {"classify": stored["params"]} if stored else {}
         planned = {
@@ -261,7 +264,7 @@ def _run_command() -> None:
                 )
                 continue
             ran = _execute(common, stage.name, planned[stage.name])
-            # What nothing else reads makes nothing else stale.
+            # The results of these stages are not read by others, so they make no other stage stale.
             if common.dry_run and ran and stage.name not in ("volume", "shade", "evaluate"):
                 first = stage.name
         if not common.dry_run:
@@ -359,7 +362,7 @@ def _build() -> None:
 
 def main() -> None:
     """Entry point of the console script."""
-    # torch's threads would spin between its operations and keep scipy's from the cores.
+    # torch's threads would spin between its operations and keep the cores from scipy.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     # CUDA's linear algebra gives the same bits every time only with a workspace of its own.
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

@@ -1,4 +1,5 @@
-"""From Params dataclasses to command-line options and back; nothing is declared twice."""
+"""Convert Params dataclasses to command-line options and back, so that nothing is declared
+twice."""
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ Function = Callable[..., Any]
 
 
 def parameter_names(stages: Sequence[Stage]) -> dict[str, dict[str, str]]:
-    """For each stage the name of each of its options on a command line that serves ``stages``.
+    """For each stage, the name of each of its options on a command line that runs ``stages``.
 
-    An option that several of them have gets its stage's name in front.
+    An option that several of them have gets the name of its stage in front.
     """
     uses: dict[str, int] = {}
     for stage in stages:
@@ -58,7 +59,7 @@ def _annotation(option: Option, name: str, group: str) -> Any:
         if option.type is bool:
             shown = "yes" if shown else "no"
         meaning += f" [default: {shown:g}]" if option.type is float else f" [default: {shown}]"
-    # Choices and limits are checked by the Params, so that every way in gives the same sentence.
+    # Choices and limits are checked by the Params, so that every caller gets the same sentence.
     plain = option.type if option.type in (int, float, bool) and option.length is None else str
     return Annotated[
         plain | None,
@@ -137,7 +138,7 @@ def build(
     names: dict[str, str],
     recorded: dict[str, Any] | None = None,
 ) -> Params:
-    """A stage's Params: the command line over the config file over what was recorded over defaults.
+    """A stage's Params, in this order: command line, config file, recorded values, defaults.
 
     Raises UsageError for values that do not fit.
     """

@@ -79,7 +79,7 @@ def sbatch(
         raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
     stages = standing.ORDER[: standing.ORDER.index(until) + 1]
     given = read_config(config, standing.ALL)
-    for stage in map(standing.get, stages):  # refused here rather than by every job
+    for stage in map(standing.get, stages):  # refused here, not by every job
         build(stage, {}, given, parameter_names([stage])[stage.name])
     listed = shape_list.read(shapes)
     views = [i for i, shape in enumerate(listed, 1) if shape.kind == "views"]
@@ -90,7 +90,7 @@ def sbatch(
         python=sys.executable,
         inputs=tuple(shape.input for shape in listed),
         runs=tuple(str(RunFolder.locate(None, s.stem, runs).path) for s in listed),
-        # Nothing reads what shade makes, so the shapes that have views take it last.
+        # No stage reads the results of shade, so the shapes that have views run it last.
         stages=tuple(stage for stage in stages if stage != "shade"),
         last=("shade", tuple(views)) if views and "shade" in stages else None,
         resolution=n,

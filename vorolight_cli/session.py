@@ -117,13 +117,14 @@ class Common:
     console: Console
     session: standing.Session
     seed: int | None
-    """As given; the session has 0 where nothing was."""
+    """As given; the session has 0 if none was given."""
     dry_run: bool
     config: dict[str, dict[str, Any]]
 
 
 def identity_of(input: str | None, field: str | None, kind: str | None = None) -> Identity | None:
-    """The input that was given, if any. Raises UsageError for two, InputError for a bad one."""
+    """The given input, if any. Raises UsageError if two are given, InputError for an unusable
+    one."""
     from vorolight.stages.sources.resolve import KINDS, identify, identify_field
 
     if kind is not None and kind not in KINDS:

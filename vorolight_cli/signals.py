@@ -13,8 +13,8 @@ GRACE = 60
 
 
 def install() -> None:
-    """SIGTERM and SIGINT end the process at once; SIGUSR1 at the next checkpoint, before the next
-    stage or after GRACE, whichever comes first."""
+    """SIGTERM and SIGINT end the process at once. SIGUSR1 ends it at the next checkpoint, before
+    the next stage or after GRACE, whichever comes first."""
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
     if hasattr(signal, "SIGUSR1"):
@@ -36,8 +36,8 @@ def _stop_without(number: int, frame: object) -> None:
 
 
 def _end(code: int, text: str) -> None:
-    """No unwinding: an exception thrown into torch's kernels crashes the process, and every file
-    is either whole or not there."""
+    """End the process without unwinding: an exception in torch's kernels would crash it, and every
+    file is either complete or missing."""
     lock.release_all()
     os.write(2, f"\nvorolight: {text}; the same command continues\n".encode())
     os._exit(code)

@@ -106,8 +106,8 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
                         "reference_curvature_off_creases")
         )  # fmt: skip
         aim = "" if not truth else _number(truth["mean"])
-        # What a crease turns by may cross both thresholds on its way: the reference itself says
-        # how much there is of that.
+        # The angle of a crease may cross both thresholds along it; the reference itself shows how
+        # often.
         own = metrics["reference_creases"] or dict.fromkeys(
             ("edge_f1", "edge_precision", "edge_recall"), 1.0
         )
@@ -133,19 +133,19 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
         ("components", str(topology["components"]), str(expected.get("components", ""))),
     ]
     for gate, held in metrics["gates"].items():
-        if gate == "certificate":  # said below with what it says
+        if gate == "certificate":  # it is listed below, with the conditions that fail
             continue
         words = held if isinstance(held, str) else "yes" if held else "no"
         rows.append((gate.replace("_", " "), words, ""))
     if "conformity" in metrics:
         conformity, trained = metrics["conformity"], metrics["trained"]
-        faces = f"{conformity['interface_faces']} / {conformity['trained_faces']}"
+        faces = f"{conformity['interface_faces']}, {conformity['trained_faces']}"
         certificate = metrics["certificate"]
         failed = "fails: " + ", ".join(certificate["failed"])
         rows += [
             ("certificate", "holds" if certificate["holds"] else failed, ""),
             ("pair area share", _number(conformity["pair_area_share"]), "1"),
-            ("interface faces / trained", faces, "equal"),
+            ("faces of the diagram before merging, trained", faces, ""),
             ("sphere residual, rms in h^2", _number(conformity["residual_rms"]), "0"),
             ("deepest intrusion in h^2", _number(conformity["intrusion"]), "0"),
         ]

@@ -1,4 +1,4 @@
-"""The volume of a run written to a file or folder of a user's choice."""
+"""Write the cells of a run to a file or folder that the user chooses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CUT = re.compile(r"^\s*([xyz])\s*([=<>])\s*([-+.0-9eE]+)\s*$")
 
 
 def format_of(target: Path, name: str | None) -> Format:
-    """The format ``name``, or that of the target's suffix. Raises UsageError for none."""
+    """The format ``name``, or that of the target's suffix. Raises UsageError if there is none."""
     if name is not None:
         if name not in FORMATS:
             raise UsageError(f"--format {name}: must be one of {', '.join(FORMATS)}")
@@ -57,10 +57,10 @@ def _kept(cut: str, points: Floats) -> NDArray[np.bool_]:
 
 
 def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force: bool) -> str:
-    """Write the cells of ``folder`` to ``target``; what was written, in a few words.
+    """Write the cells of ``folder`` to ``target``, and return what was written in a few words.
 
-    Raises UsageError where something is there already, unless ``force``, and InputError for a cut
-    without cells. Nothing is left half-written.
+    Raises UsageError if something exists there, unless ``force``, and InputError for a cut without
+    cells. Nothing is left half-written.
     """
     if form.suffix and target.is_dir():
         raise UsageError(f"{target}: is a folder; name a file")
@@ -88,7 +88,7 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
 
 
 def _write_case(target: Path, files: dict[str, bytes]) -> None:
-    """The mesh of a case is there whole or not at all; settings that are there stay."""
+    """Write a case: its mesh is there as a whole or not at all, and existing settings stay."""
     mesh = "constant/polyMesh/"
     for path, content in files.items():
         if not path.startswith(mesh) and not (target / path).exists():

@@ -1,4 +1,4 @@
-"""What can be made of a shape: tubes with plates and a base, solids and shells, cells apart."""
+"""The products: tubes with plates and a base, solids and shells, separate cells."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from ..contract import Progress
 
 OVERLAP = 0.5
-"""By which a solid reaches into its pedestal, mm."""
+"""Depth in mm by which a solid reaches into its pedestal."""
 DRAWN = {"volume": "inner edges of the volume", "both": "edges of the volume"}
 MOST_DROPPED = 1.0
-"""Volume in mm^3 that may be lost with parts that hang on nothing."""
+"""Volume in mm^3 that may be lost with unconnected parts."""
 
 
 def _no_tubes() -> dict[str, Any]:
@@ -66,7 +66,7 @@ class Product:
 
 
 def _closed(body: Any, name: str, loss: str) -> Part:
-    """One printable part. Raises NumericalFailure when more than MOST_DROPPED is not connected."""
+    """One printable part. Raises NumericalFailure if more than MOST_DROPPED is not connected."""
     part = assembly.largest(body)
     if part.dropped_volume > MOST_DROPPED:
         raise NumericalFailure(
@@ -91,7 +91,7 @@ def _centre(body: Any) -> Floats:
 
 
 def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
-    """The surface as a solid, or as a shell of ``wall`` mm that is open below."""
+    """The surface as a solid, or as a shell of ``wall`` mm that is open at the bottom."""
     stance = lamp.stand(shape.surface, shape.surface, asked)
     surface = stance.apply(shape.surface)
     checks = []
@@ -101,7 +101,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
         body, distances = solids.shell(surface, wall)
         checks.append(printability.shell(distances, wall))
     if stance.base != "none":
-        # It reaches into a pedestal: what only touches is not one body.
+        # The solid reaches into a pedestal, since bodies that only touch are not one body.
         body = body.trim_by_plane((0, 0, 1), max(stance.lift - OVERLAP, 0.0))
     if stance.base == "pedestal":
         body = assembly.union([body, *lamp.bodies(stance, surface, surface, 0.0).add])
@@ -127,7 +127,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
 
 
 def exploded(shape: Shape, asked: Request, factor: float) -> Product:
-    """The cells of the volume, apart: to look at, and a body each."""
+    """The cells of the volume as separate bodies."""
     assert shape.volume is not None
     vertices, triangles = solids.exploded(shape.volume, factor)
     matrix = lamp.mm_from_input(vertices, asked.up, asked.height, 0.0, 0.0)
@@ -148,12 +148,12 @@ def exploded(shape: Shape, asked: Request, factor: float) -> Product:
 def tubes_of(
     shape: Shape, asked: Request, design: Design, random: np.random.Generator, progress: Progress
 ) -> Product:
-    """Tubes along edges; with plates, a base and a cavity as far as asked for.
+    """Tubes along edges, with plates, a base and a cavity if asked for.
 
-    Raises UsageError when the tubes would close most faces, and NumericalFailure when the result
-    is not one body.
+    Raises UsageError if the tubes would close most faces, and NumericalFailure if the result is not
+    one body.
     """
-    # The scale decides the default diameter, which decides how much room tubes take: twice round.
+    # The scale decides the default diameter, which decides how much room tubes take: two rounds.
     mesh, _ = lattice.followed(shape, design)
     asked = replace(asked, taper=design.taper)
     first = lamp.stand(mesh, shape.surface, replace(asked, light=None))
@@ -290,7 +290,7 @@ def _warnings(
 
 
 def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], Any]:
-    """Tells which points of axes keep clear of the floor, the base and what is carved out."""
+    """A function that says which points of axes are clear of the floor, the base and the cavity."""
     floor = stance.lift + diameter + (cable if stance.lift == 0 and stance.place else 0.0)
     if stance.base == "footprint" and stance.lift == 0:
         floor = max(floor, base.FOOT + diameter)
@@ -308,7 +308,7 @@ def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], 
 
 
 def _facts(part: Part, stance: Stance) -> dict[str, Any]:
-    """Figures of any product that stands."""
+    """Figures of any product that stands on the floor."""
     found: dict[str, Any] = {
         "base": stance.base,
         "trim": stance.trim,
@@ -334,7 +334,7 @@ def _facts(part: Part, stance: Stance) -> dict[str, Any]:
 
 
 def _light_at(stance: Stance, surface: PolygonMesh) -> tuple[float, float, float] | None:
-    """Where the light is for pictures: over the cup, inside the shape."""
+    """The place of the light for pictures: above the cup, inside the shape."""
     if stance.place is None or stance.cavity is None:
         return None
     top = float(surface.vertices[:, 2].max())

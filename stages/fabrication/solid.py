@@ -1,4 +1,5 @@
-"""Solids, shells, and the cells of the volume: as tubes along their edges, or drawn apart."""
+"""Solids, shells, and the cells of the volume: as tubes along their edges, or as separate
+bodies."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from ..surface.solids import solid_of
 from ..surface.topology import edges
 
 GRID = 128
-"""Cells of the distance grid along the longest side; more where the wall would be under two."""
+"""Cells of the distance grid along the longest side; more if the wall would be thinner than two
+cells."""
 MOST_GRID = 256
 
 
@@ -40,7 +42,7 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
     )
     if len(faces) == 0:
         raise UsageError(f"--wall {wall:g}: no part of the shape is that thick; lower it")
-    # Marching cubes turns its triangles to the lower side or the upper one, by version.
+    # Depending on the version, marching cubes orients its triangles to the lower or the upper side.
     corners = inner[faces]
     if np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0:
         faces = faces[:, ::-1]

@@ -1,4 +1,4 @@
-"""Whether a written surface is closed, judged on the file as it is read back."""
+"""Check that a written surface is closed, on the file as it is read back."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ COLUMNS = ("least", "mean", "median", "p95", "p99", "most")
 
 
 def section(metrics: Mapping[str, Any]) -> str:
-    """HTML of what stage volume measured."""
+    """HTML of the figures of stage volume."""
     quality = metrics["quality"]
     facts = [
         (

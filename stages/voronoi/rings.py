@@ -1,4 +1,4 @@
-"""Voronoi faces as rings of Delaunay tetrahedra, all faces walked together."""
+"""Voronoi faces as rings of Delaunay tetrahedra; all faces are found at the same time."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def _beyond() -> Ints:
 
 BEYOND = _beyond()
 THIN = 1e-6
-"""Six volumes of a tetrahedron over the cube of an edge, below which its turning sense is not
-relied on."""
+"""Six volumes of a tetrahedron divided by the cube of an edge, below which its orientation is not
+reliable."""
 
 Selection = Callable[[Ints, Ints], NDArray[np.int8]]
 
@@ -66,7 +66,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     the triangulation is inconsistent around an edge.
     """
     wanted = select(tetrahedra.corners[:, EDGES[:, 0]], tetrahedra.corners[:, EDGES[:, 1]])
-    # From here on tetrahedra are numbered among those with a wanted edge.
+    # From here on, tetrahedra are numbered among those with a wanted edge.
     used = np.flatnonzero(wanted.any(axis=1))
     wanted, corners = wanted[used], tetrahedra.corners[used]
     number = np.full(len(tetrahedra.corners) + 1, -1)
@@ -129,7 +129,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         flat = np.abs(volume) < THIN * np.einsum("ij,ij->i", ahead, ahead) ** 1.5
         return np.where(turned == 0, volume, -volume), flat
 
-    # One wedge tells the sense of a ring; where it is flat all are asked.
+    # One reliable wedge gives the sense of a ring; if it is flat, all wedges decide.
     sense, unsure = wedges(walked[starts])
     ring = np.repeat(np.arange(len(starts)), valence)
     asked = unsure[ring]

@@ -1,4 +1,5 @@
-"""The surface that a training may write: its own faces, or what their generators really bound."""
+"""The surface that stage sphere-train writes: the trained faces, or the interface of their
+generators."""
 
 from __future__ import annotations
 
@@ -17,12 +18,12 @@ from .interface import interface
 from .vertices import FLAT
 
 MERGE = 1e-4
-"""In units of h0: edges of the diagram shorter than this are contracted where it is compared."""
+"""In units of h0: shorter edges of the diagram are contracted before it is compared."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """A surface, the trained faces whose generators bound each of its faces, and what was found."""
+    """A surface, the trained faces whose generators bound each of its faces, and the checks."""
 
     mesh: PolygonMesh
     bounds: Ints
@@ -33,10 +34,10 @@ class Written:
     faces_after_merging: int
     """Of the diagram, after merging at MERGE."""
     merged_within: float
-    """How far vertices were moved to make slivers vanish, in units of h0."""
+    """Largest distance by which vertices were moved to remove slivers, in units of h0."""
 
     def facts(self) -> dict[str, Any]:
-        """What was found, for the manifest."""
+        """Figures for the manifest."""
         return {
             "certificate": vars(self.certificate) | {"failed": list(self.certificate.failed)},
             "conformity": vars(self.conformity),
@@ -52,7 +53,7 @@ class Written:
         }
 
     def warnings(self, count: int, merge: float) -> list[str]:
-        """What the user is told of ``count`` trained faces that have no certificate."""
+        """Warnings about ``count`` trained faces that have no certificate."""
         if self.certificate.holds:
             return []
         said = []
@@ -80,10 +81,11 @@ def written(
     trained: PolygonMesh, radii: Floats, inside: Floats, outside: Floats, merge: float,
     threads: int, refused: Callable[[Certificate], None] = lambda certificate: None,
 ) -> Written:  # fmt: skip
-    """The trained faces if the certificate holds; else the interface of ``inside, outside (F, 3)``,
-    vertices within ``merge`` of a trained one drawn to it where its topology stays (0: as it is).
+    """The trained faces if the certificate holds, else the interface of ``inside, outside (F, 3)``.
 
-    ``refused`` is called with a certificate that does not hold, before anything else is done.
+    In the interface, vertices within ``merge`` of a trained one move to it where the topology
+    allows (0: none). ``refused`` is called with a certificate that does not hold, before anything
+    else.
     """
     count = trained.face_count
     generators = np.concatenate([inside, outside])
