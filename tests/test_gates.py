@@ -171,7 +171,7 @@ def test_topology_other_than_the_references_fails(ball_run: Path, cli: Cli) -> N
     write(ball_run / "ring.ply", torus_mesh(0.8, 0.3, 32, 16))
     done = cli("evaluate", "--surface", "ring.ply", "--samples", 2000, "--strict", cwd=ball_run)
     assert done.returncode == 5
-    assert "Euler number 0 and 1 components, for 2 and 1 of the reference" in done.stderr
+    assert "Euler number 0 and 1 components, where the reference has 2 and 1" in done.stderr
 
 
 def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli: Cli) -> None:
