@@ -38,8 +38,12 @@ class Range:
 
     def __str__(self) -> str:
         if self.high is None:
-            return f"at least {self.low:g}"
-        return f"from {self.low:g} to {self.high:g}"
+            return f"at least {_digits(self.low)}"
+        return f"from {_digits(self.low)} to {_digits(self.high)}"
+
+
+def _digits(bound: float | None) -> str:
+    return f"{bound:,}" if isinstance(bound, int) else f"{bound:g}"
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import shlex
@@ -144,6 +145,21 @@ def test_exit_codes_are_documented() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([\d, ]+) \|", text.partition("## Exit codes")[2], re.M)
     assert {code for row in rows for code in row.split(", ")} == set(CODES)
+
+
+def test_names_that_examples_in_python_import_exist() -> None:
+    found = 0
+    for page in CURRENT:
+        for block in re.findall(
+            r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S
+        ):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom):
+                    assert node.module is not None
+                    for name in node.names:
+                        exec(f"from {node.module} import {name.name}", {})
+                        found += 1
+    assert found >= 6
 
 
 def test_numbers_have_a_leading_zero() -> None:
