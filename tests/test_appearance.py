@@ -218,7 +218,7 @@ def test_six_views_of_a_known_mesh(tmp_path: Path, cli: Cli) -> None:
     Image.open(made / "front.png").save(tmp_path / "photo.png")
     done = cli("from-image", "photo.png", cwd=tmp_path)
     assert done.returncode == 69
-    assert "vorolight has no generator of six views" in done.stderr
+    assert "there is no built-in generator of six views" in done.stderr
     done = cli("from-image", "photo.png", "--six-views", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0].endswith("transforms.json")

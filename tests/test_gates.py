@@ -160,7 +160,7 @@ def test_a_sound_surface_passes_strictly_and_its_thresholds_decide(
         ("f1=>2", 'is not of the form "f1>=0.98"'),
         ("f1>=many", "many is neither a number"),
         ("normal_consistancy>0", "no such figure; there is normal_consistency"),
-        ("p95>0", "say which: curvature.p95"),
+        ("p95>0", "name one of curvature.p95"),
     ):
         done = cli(*command, "--require", text, cwd=ball_run)
         assert done.returncode == 2

@@ -113,8 +113,8 @@ def from_image(
         made = six.of_generator(generator, photo, allow_code)
     else:
         raise BackendMissing(
-            "vorolight has no generator of six views: make the views with another program, such "
-            "as Hunyuan3D-2, and give their folder with --six-views, or give a function that "
+            "there is no built-in generator of six views: make the views with another program, "
+            "such as Hunyuan3D-2, and give their folder with --six-views, or give a function that "
             "calls such a program with --generator MODULE:FUNCTION"
         )
     target = six.write(made, output or photo.with_name(f"{photo.stem}-views"), force)

@@ -33,7 +33,8 @@ def format_of(target: Path, name: str | None) -> Format:
             return form
     known = ", ".join(sorted({f".{form.suffix}" for form in FORMATS.values() if form.suffix}))
     raise UsageError(
-        f"{target}: no format has that suffix ({known}); say --format [{'|'.join(FORMATS)}]"
+        f"{target}: no format has that suffix ({known}); name one with "
+        f"--format [{'|'.join(FORMATS)}]"
     )
 
 

@@ -61,11 +61,11 @@ class Requirement:
             last = {path.rpartition(".")[2] for path in figures}
             near = difflib.get_close_matches(self.name.rpartition(".")[2], last, n=3)
             raise UsageError(
-                f"--require {self.name}: no such figure"
-                + (f"; there is {', '.join(near)}" if near else "")
+                f"--require {self.name}: no such figure; "
+                + (f"there is {', '.join(near)}" if near else "evaluate --json prints all of them")
             )
         if len(ends) > 1:
-            raise UsageError(f"--require {self.name}: say which: {', '.join(sorted(ends))}")
+            raise UsageError(f"--require {self.name}: name one of {', '.join(sorted(ends))}")
         found = figures[ends[0]]
         if found is None:
             return f"{ends[0]} is not known, but {self.relation} {self.value:g} is required"

@@ -144,8 +144,8 @@ def _read_trimesh(path: Path) -> PolygonMesh:
         if path.suffix.lower() in (".gz", ".zip", ".xz", ".bz2", ".7z"):
             raise InputError(f"{path}: is compressed; unpack it, and give the file inside")
         raise InputError(
-            f"{path}: files of kind '{path.suffix}' are not read; convert a mesh to OBJ, PLY, STL "
-            "or 3MF, points to PLY, PCD or CSV, samples on a grid to NRRD, VTI or NPY"
+            f"{path}: files of kind '{path.suffix}' cannot be read; convert a mesh to OBJ, PLY, "
+            "STL or 3MF, points to PLY, PCD or CSV, samples on a grid to NRRD, VTI or NPY"
         )
     try:
         scene = trimesh.load_scene(path, process=False)
