@@ -57,6 +57,9 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
         "source/triangles": Layout(
             ("Tp", 3), "i", "of the surface made of the input", optional=True, into="Vp"
         ),
+        "source/whole": Layout(
+            (), "b", "whether the mesh is closed as it is and no parts cross", optional=True
+        ),
         "source/kept": Layout(("P",), "b", "points that do not lie out", optional=True),
         "source/noise": Layout(
             (), "f", "standard deviation of the points", optional=True, undefined=True

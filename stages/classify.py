@@ -176,7 +176,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="classify",
-    version=8,
+    version=9,
     params=Params,
     run=run,
     memory=_memory,

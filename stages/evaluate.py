@@ -271,9 +271,8 @@ def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
     from .surface.topology import topology
-    from .voronoi.certificate import certify
     from .voronoi.conformity import conformity
-    from .voronoi.interface import interface
+    from .voronoi.trained_surface import TrainedSurface
 
     arrays = context.arrays("sphere-train")
     frame = ModelFrame.of(context.arrays("classify"))
@@ -287,28 +286,9 @@ def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[
             vertices, triangles, samples, context.random("trained")
         )
         loss = float(np.abs(field.value(points)).mean())
-    count = mesh.face_count
-    inside, outside = (
-        frame.model_from_input(arrays[f"generators/{side}"]) for side in ("inside", "outside")
-    )
-    generators, labels = np.concatenate([inside, outside]), np.arange(2 * count) < count
-    raw = interface(generators, labels)
-    placed, radii = (
-        mesh.with_vertices(frame.model_from_input(mesh.vertices)),
-        arrays["spheres/radius"] / frame.spacing,
-    )
-    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
-    certificate = certify(placed, radii, generators, labels, pairs, context.threads)
-    agreement = conformity(
-        raw,
-        np.arange(2 * count) % count,
-        placed,
-        radii,
-        inside,
-        outside,
-        1.0,
-        context.threads,
-    )
+    trained = TrainedSurface.stored(arrays, frame)
+    certificate = trained.certificate(context.threads)
+    agreement = conformity(trained.interface(), trained, context.threads)
     return {
         "certificate": vars(certificate) | {"failed": list(certificate.failed)},
         "conformity": vars(agreement),
@@ -354,7 +334,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="evaluate",
-    version=5,
+    version=6,
     params=Params,
     run=run,
     parents=_parents,

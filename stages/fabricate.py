@@ -212,7 +212,7 @@ def _parents(params: Params) -> tuple[str, ...]:
 
 STAGE = Stage(
     name="fabricate",
-    version=6,
+    version=7,
     params=Params,
     run=run,
     parents=_parents,

@@ -289,7 +289,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="init",
-    version=5,
+    version=6,
     params=Params,
     run=run,
     parents=lambda params: ("classify",),

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from .surface.model_frame import ModelFrame
-    from .surface.polygons import Floats, PolygonMesh
+    from .surface.polygons import Floats
     from .voronoi.certificate import Certificate
+    from .voronoi.trained_surface import TrainedSurface
 
 SMALLEST_OFFSET = 0.05
 """Smallest distance of a pair from its face, in units of the spacing. Closer pairs are moved out to
@@ -55,6 +56,7 @@ def _conforming(context: Context) -> Outcome:
     from .optimize.triangles import resisting as where
     from .optimize.triangles import train_triangles
     from .surface.model_frame import ModelFrame
+    from .voronoi.trained_surface import TrainedSurface
 
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
@@ -103,20 +105,15 @@ def _conforming(context: Context) -> Outcome:
 
     points, square = corners.generators()
     count = trained.face_count
-    return _outcome(
-        context,
-        frame,
-        trained,
-        corners.radii,
-        np.sqrt(np.maximum(square, 0.0)),
-        points[count:],
-        points[:count],
-        corners.face_lengths / params.value("edge_length"),
-        history,
-        facts,
-        warnings,
-        resisting,
+    surface = TrainedSurface(
+        polygons=trained,
+        radii=corners.radii,
+        inside=points[count:],
+        outside=points[:count],
+        offsets=np.sqrt(np.maximum(square, 0.0)),
+        spacing=corners.face_lengths / params.value("edge_length"),
     )
+    return _outcome(context, frame, surface, history, facts, warnings, resisting)
 
 
 def _as_in_the_paper(context: Context) -> Outcome:
@@ -129,6 +126,8 @@ def _as_in_the_paper(context: Context) -> Outcome:
     from .surface.geometry import face_frames, fan_triangles
     from .surface.model_frame import ModelFrame
     from .surface.polygons import PolygonMesh
+    from .voronoi.pairs import label_pairs
+    from .voronoi.trained_surface import TrainedSurface
 
     params = context.params
     frame = ModelFrame.of(context.arrays("classify"))
@@ -149,53 +148,28 @@ def _as_in_the_paper(context: Context) -> Outcome:
     trained = mesh.with_vertices(centres)
     _, normal, centroid = face_frames(trained)
     reach = np.maximum(np.abs(offsets), SMALLEST_OFFSET)[:, None] * normal
-    facts = {"collapsed": int((np.abs(offsets) < SMALLEST_OFFSET).sum())}
-    return _labelled(
-        context, frame, trained, radii, offsets, centroid + reach, centroid - reach, history,
-        facts, [],
-    )  # fmt: skip
-
-
-def _labelled(
-    context: Context,
-    frame: ModelFrame,
-    trained: PolygonMesh,
-    radii: Floats,
-    offsets: Floats,
-    ahead: Floats,
-    behind: Floats,
-    history: Floats,
-    metrics: dict[str, Any],
-    warnings: list[str],
-) -> Outcome:
-    """The outcome for polygons whose generators ``ahead, behind (F, 3)`` have no labels yet."""
-    import numpy as np
-
-    from .voronoi.pairs import label_pairs
-
-    pairs = label_pairs(trained, ahead, behind)
+    pairs = label_pairs(trained, centroid + reach, centroid - reach)
+    warnings = []
     if pairs.undecided:
         warnings.append(
             f"{pairs.undecided} generator pairs lie on one side of the trained surface and "
             "were labelled by the orientation of their face: the written surface may differ "
             "there"
         )
-    facts = {key: getattr(pairs, key) for key in ("relabelled", "replaced", "undecided")}
-    return _outcome(
-        context, frame, trained, radii, offsets, pairs.inside, pairs.outside,
-        np.ones(trained.face_count), history, {**metrics, "pairs": facts}, warnings,
-    )  # fmt: skip
+    facts = {
+        "collapsed": int((np.abs(offsets) < SMALLEST_OFFSET).sum()),
+        "pairs": {key: getattr(pairs, key) for key in ("relabelled", "replaced", "undecided")},
+    }
+    surface = TrainedSurface(
+        trained, radii, pairs.inside, pairs.outside, offsets, np.ones(trained.face_count)
+    )
+    return _outcome(context, frame, surface, history, facts, warnings)
 
 
 def _outcome(
     context: Context,
     frame: ModelFrame,
-    trained: PolygonMesh,
-    radii: Floats,
-    offsets: Floats,
-    inside: Floats,
-    outside: Floats,
-    spacing: Floats,
+    trained: TrainedSurface,
     history: Floats,
     metrics: dict[str, Any],
     warnings: list[str],
@@ -226,12 +200,12 @@ def _outcome(
                 "writes the interface of the diagram instead"
             )
 
-    found = written(trained, radii, inside, outside, merge, context.threads, refused)
+    found = written(trained, merge, context.threads, refused)
     warnings = warnings + found.warnings(count, merge)
     apart = departures(found.mesh, context.source(), context.surface, frame, context.threads)
     warnings += apart.warnings(frame.spacing)
     facts, expected = topology(found.mesh), context.source().topology()
-    trained_facts = topology(trained)
+    trained_facts = topology(trained.polygons)
     if expected is not None and expected != (facts.euler_number, facts.components):
         warnings.append(
             f"the surface has Euler number {facts.euler_number} and {facts.components} "
@@ -239,17 +213,10 @@ def _outcome(
             "were lost or joined; raise -n"
         )
     surface = found.mesh.with_vertices(frame.input_from_model(found.mesh.vertices))
-    placed = trained.with_vertices(frame.input_from_model(trained.vertices))
     names = (*TERMS[:3], "normal") if params.by_adam else TERMS
     return Outcome(
         arrays={
-            "spheres/center": placed.vertices,
-            "spheres/radius": frame.spacing * radii,
-            **placed.as_arrays("trained/"),
-            "trained/offset": frame.spacing * offsets,
-            "generators/inside": frame.input_from_model(inside),
-            "generators/outside": frame.input_from_model(outside),
-            "spacing": frame.spacing * spacing,
+            **trained.as_arrays(frame),
             "history": history,
             **surface.as_arrays("surface/"),
             "surface/face_generators": found.bounds,
@@ -286,7 +253,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=13,
+    version=14,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

@@ -225,35 +225,28 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
 
     from .artifacts.manifest import foreign
     from .errors import NumericalFailure
-    from .surface.polygons import PolygonMesh
     from .voronoi.boundary import Boundary
-    from .voronoi.certificate import MARGIN, certify
+    from .voronoi.certificate import MARGIN
     from .voronoi.cleanup import clean
     from .voronoi.interface import interface
     from .voronoi.interior import Guard
+    from .voronoi.trained_surface import TrainedSurface
 
-    trained = context.arrays("sphere-train")
-    within = frame.model_from_input(trained["generators/inside"])
-    boundary = np.concatenate([within, frame.model_from_input(trained["generators/outside"])])
-    count, labels = len(within), np.arange(len(boundary)) < len(within)
+    trained = TrainedSurface.stored(context.arrays("sphere-train"), frame)
+    boundary, labels = trained.generators, trained.labels
     with foreign("sphere-train.json"):
         recorded: dict[str, Any] = context.folder.manifest("sphere-train") or {}
         metrics = recorded["metrics"]
         certified, merged = bool(metrics["certificate"]["holds"]), float(metrics["merged_within"])
         reach = float(recorded["params"]["merge"])
         failed = ", ".join(metrics["certificate"].get("failed") or [])
-    radii = trained["spheres/radius"] / frame.spacing
-
     if certified:
         # As far outside the spheres as the certificate requires.
-        guard = Guard(boundary, labels, surface.vertices, np.sqrt(radii**2 + 2 * MARGIN))
+        reaches = np.sqrt(trained.radii**2 + 2 * MARGIN)
+        guard = Guard(boundary, labels, surface.vertices, reaches)
 
         def still_certified(points: Floats) -> None:
-            ends = len(points) + np.stack([np.arange(count), count + np.arange(count)], axis=1)
-            found = certify(
-                surface, radii, np.concatenate([points, boundary]),
-                np.concatenate([np.ones(len(points), bool), labels]), ends, context.threads,
-            )  # fmt: skip
+            found = trained.certificate(context.threads, points)
             if not found.holds:
                 raise NumericalFailure(
                     "the inner generators changed the surface: the certificate fails ("
@@ -262,14 +255,13 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
 
         return _Bounded(guard, Boundary.certified(surface), still_certified, [])
 
-    raw = interface(boundary, labels)
+    raw = trained.interface()
     drawn = merged > 0
-    anchors = PolygonMesh.from_arrays(trained, "trained/").vertices
 
     def cleaned(raw: VoronoiSurface) -> CleanSurface:
         """Clean the interface as stage sphere-train did."""
         return clean(
-            raw, 1.0, anchors=frame.model_from_input(anchors) if drawn else None,
+            raw, 1.0, anchors=trained.polygons.vertices if drawn else None,
             reach=reach if drawn else 0.0,
         )  # fmt: skip
 

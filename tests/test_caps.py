@@ -64,7 +64,7 @@ def test_bowls_sheets_and_what_bends_are_not_closed() -> None:
     assert capped(PolygonMesh.of_triangles(vertices, wavy)) is None
 
 
-def test_a_cap_crosses_nothing() -> None:
+def test_what_crosses_a_cap_is_united_with_it() -> None:
     vertices, triangles = without_ends(trimesh.creation.box((2.0, 2.0, 6.0)))
     found = capped(PolygonMesh.of_triangles(vertices, triangles))
     assert found is not None
@@ -72,7 +72,13 @@ def test_a_cap_crosses_nothing() -> None:
     needle = trimesh.creation.cylinder(0.2, 10.0, sections=8)
     both = np.concatenate([vertices, needle.vertices])
     crossed = np.concatenate([triangles, needle.faces + len(vertices)])
-    assert capped(PolygonMesh.of_triangles(both, crossed)) is None
+    solid = capped(PolygonMesh.of_triangles(both, crossed))
+    assert solid is not None
+    facts = topology(solid[0])
+    assert (facts.closed, facts.euler_number, facts.components) == (True, 2, 1)
+    volume = enclosed_volume(*fan_triangles(solid[0])[:2])
+    # The needle is twice as long as what it leaves at both ends of the box.
+    assert volume == pytest.approx(24 + 0.4 * needle.volume, rel=1e-6)
 
 
 def test_other_bad_edges_are_left_alone() -> None:

@@ -202,11 +202,11 @@ def test_repair_closes_and_is_said(tmp_path: Path) -> None:
 
 
 def test_repair_fails_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vorolight.stages.sources import repair_child
+    from vorolight.stages.sources import child
 
     source = MeshSource(write_ply(tmp_path / "a.ply", *sphere_mesh()))
     source.repair = True
-    monkeypatch.setattr(repair_child.sys, "executable", "false")
+    monkeypatch.setattr(child.sys, "executable", "false")
     with pytest.raises(InputError, match=r"a\.ply: --repair by pymeshlab failed"):
         source.polygons  # noqa: B018
 

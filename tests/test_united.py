@@ -12,6 +12,7 @@ from vorolight.stages.export import ply
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.surface.geometry import enclosed_volume
 from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.surface.topology import topology
 
 
 def test_vertices_equal_in_single_precision_are_welded(tmp_path: Path) -> None:
@@ -203,3 +204,52 @@ def test_a_common_face_cut_along_other_diagonals_is_left_out(tmp_path: Path) -> 
     # No face is left between the two.
     middle = source.vertices[source.triangles].mean(axis=1)
     assert (np.abs(middle[:, 0] - 1) > 1e-6).all()
+
+
+def figure_of_eight() -> tuple[np.ndarray, np.ndarray]:
+    """A closed tube along a curve that crosses itself once."""
+    turns, sides = 48, 16
+    angle = np.linspace(0, 2 * np.pi, turns, endpoint=False)
+    curve = np.stack([np.sin(angle), np.sin(2 * angle) / 2, 0 * angle], axis=1)
+    along = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
+    side = np.cross(along, [0, 0, 1.0])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    around = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    rings = np.cos(around)[None, :, None] * side[:, None] + np.stack(
+        [0 * around, 0 * around, np.sin(around)], axis=1
+    )
+    ring, spoke = (part.ravel() for part in np.indices((turns, sides)))
+    number = ring * sides + spoke
+    up, right = (ring + 1) % turns * sides - ring * sides, (spoke + 1) % sides - spoke
+    corners = np.stack([number, number + up, number + up + right, number + right])
+    return (
+        (curve[:, None] + 0.15 * rings).reshape(-1, 3),
+        np.concatenate([corners[[0, 1, 2]].T, corners[[0, 2, 3]].T]),
+    )
+
+
+def test_a_part_that_crosses_itself_is_what_it_encloses(tmp_path: Path) -> None:
+    vertices, triangles = figure_of_eight()
+    source = MeshSource(write_ply(tmp_path / "eight.ply", vertices, triangles))
+    # A tube is a torus; where it crosses itself it has two loops.
+    assert topology(PolygonMesh.of_triangles(vertices, triangles)).euler_number == 0
+    assert source.topology() == (-2, 1)
+    assert source.describe()["folded_parts"] == 1
+    assert any("that cross themselves: 1" in warning for warning in source.warnings())
+    crossing = enclosed_volume(vertices, triangles)
+    # Volume that is counted twice where two cylinders cross at an angle of 90 degrees.
+    assert enclosed_volume(source.vertices, source.triangles) == pytest.approx(
+        crossing - 16 / 3 * 0.15**3, rel=0.02
+    )
+    assert source.inside(np.zeros((1, 3))).all()
+
+
+def test_what_classify_found_is_not_found_again(tmp_path: Path) -> None:
+    for name, mesh in (("eight", figure_of_eight()), ("ball", sphere_mesh())):
+        first = MeshSource(write_ply(tmp_path / f"{name}.ply", *mesh))
+        again = MeshSource(first.path)
+        again.restore(first.state())
+        assert again.__dict__["united"] is None
+        assert np.array_equal(again.vertices, first.vertices)
+        assert np.array_equal(again.triangles, first.triangles)
+        assert again.topology() == first.topology()

@@ -15,7 +15,7 @@ from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.topology import topology
 from vorolight.stages.voronoi import shull_child
 from vorolight.stages.voronoi.cleanup import clean
-from vorolight.stages.voronoi.conformity import conformity
+from vorolight.stages.voronoi.conformity import Conformity, conformity
 from vorolight.stages.voronoi.delaunay import (
     BACKENDS,
     backend,
@@ -25,6 +25,7 @@ from vorolight.stages.voronoi.delaunay import (
 )
 from vorolight.stages.voronoi.interface import interface, without_islands
 from vorolight.stages.voronoi.pairs import label_pairs
+from vorolight.stages.voronoi.trained_surface import TrainedSurface
 from vorolight.stages.voronoi.vertices import circumcentres, voronoi_vertices
 
 
@@ -187,14 +188,12 @@ def test_clean_up_never_opens_a_surface(merge: float, flat: float) -> None:
 
 def test_conformity_of_exact_pairs_and_of_a_moved_one() -> None:
     mesh, inside, outside = sphere_pairs(2, 0.25)
-    count = mesh.face_count
+    count, ones = mesh.face_count, np.ones(mesh.face_count)
 
-    radii = np.full(mesh.vertex_count, 0.25)
-    owner = np.arange(2 * count) % count
-
-    def measure(inner: np.ndarray) -> object:
-        raw = interface(np.concatenate([inner, outside]), np.arange(2 * count) < count)
-        return conformity(raw, owner, mesh, radii, inner, outside, 0.3)
+    def measure(inner: np.ndarray) -> Conformity:
+        radii = np.full(mesh.vertex_count, 0.25)
+        trained = TrainedSurface(mesh, radii, inner, outside, ones, ones)
+        return conformity(trained.interface(), trained, spacing=0.3)
 
     exact = measure(inside)
     assert exact.pair_faces == count

@@ -17,6 +17,7 @@ from vorolight.stages import pipeline, standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import UsageError, VorolightError
+from vorolight.stages.run import stages_until
 
 from . import completion, signals, summary
 from .collect import collect
@@ -81,8 +82,7 @@ def _until(
         ),
     ] = "fabricate",
 ) -> str:
-    if until not in standing.ORDER:
-        raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
+    stages_until(until, "views")  # refuses what is none
     return until
 
 
@@ -254,19 +254,17 @@ def _run_command() -> None:
         }
         first: str | None = None
         source = standing.input_of(common.session)
-        for stage in stages[: standing.ORDER.index(until) + 1]:
-            if stage.name == "shade" and (source is None or source.kind != "views"):
-                continue
+        for name in stages_until(until, "" if source is None else source.kind):
             if first is not None:
-                common.console.say(f"{stage.name}: would run ({first} changed)")
+                common.console.say(f"{name}: would run ({first} changed)")
                 common.console.data(
-                    {"stage": stage.name, "would_run": True, "reason": f"{first} changed"}
+                    {"stage": name, "would_run": True, "reason": f"{first} changed"}
                 )
                 continue
-            ran = _execute(common, stage.name, planned[stage.name])
+            ran = _execute(common, name, planned[name])
             # The results of these stages are not read by others, so they make no other stage stale.
-            if common.dry_run and ran and stage.name not in ("volume", "shade", "evaluate"):
-                first = stage.name
+            if common.dry_run and ran and name not in ("volume", "shade", "evaluate"):
+                first = name
         if not common.dry_run:
             _write_report(common.session.folder, common.console)
 

@@ -67,8 +67,9 @@ def wall(
     Twice the distance from a point of an axis, or from the middle of a plate, to the surface.
     ``axes`` are points of tube axes that lie inside the object.
     """
-    import igl
+    from ..surface.triangle_tree import TriangleTree
 
+    tree = TriangleTree(vertices, triangles)
     found = []
     for name, points, limit, wanted in (
         ("tubes", axes, 2 * nozzle, None),
@@ -76,7 +77,7 @@ def wall(
     ):
         if len(points) == 0:
             continue
-        thickness = 2 * np.sqrt(igl.point_mesh_squared_distance(points, vertices, triangles)[0])
+        thickness = 2 * np.sqrt(tree.closest(points)[0])
         order = np.argsort(thickness)
         least = float(thickness[order[0]])
         thin = int((thickness < limit - THIN).sum())

@@ -32,6 +32,8 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
     import igl
     from manifold3d import Manifold, Mesh64
 
+    from ..surface.triangle_tree import TriangleTree
+
     solid = solid_of(surface)
     vertices, triangles, _ = fan_triangles(surface)
     longest = float(np.ptp(vertices, axis=0).max())
@@ -52,7 +54,7 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
             f"the inner side of the shell is not a solid ({hollow.status().name}); change --wall "
             "a little"
         )
-    square = igl.point_mesh_squared_distance(inner, vertices, triangles)[0]
+    square, _, _ = TriangleTree(vertices, triangles).closest(inner)
     return solid - hollow, np.sqrt(square)
 
 

@@ -126,17 +126,13 @@ def _closest(
 ) -> tuple[Ints, Floats]:
     """The triangle closest to each point, and the point of it; of the sheet that faces as the
     point's normal does, where there is one."""
-    import igl
     from scipy.spatial import cKDTree
 
     from ..sources.projection import closest_on_triangles
+    from ..surface.triangle_tree import TriangleTree
 
     facing, _ = triangle_normals(vertices, triangles)
-    vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
-    tree = igl.AABB()
-    tree.init(vertices, triangles)
-    _, triangle, place = tree.squared_distance(vertices, triangles, np.ascontiguousarray(points))
-    triangle = triangle.astype(np.int64)
+    _, triangle, place = TriangleTree(vertices, triangles).closest(points)
     row = np.flatnonzero(np.einsum("ij,ij->i", facing[triangle], normals) < AGAINST)
     if len(row) == 0:
         return triangle, place

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..surface.geometry import face_frames, fan_triangles, triangle_normals
+from ..surface.geometry import (
+    component_volumes,
+    enclosed_volume,
+    face_frames,
+    fan_triangles,
+    triangle_normals,
+)
 from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import OPEN, bad_edges, edge_faults
+from ..surface.topology import OPEN, bad_edges, edge_faults, face_components
+from .crossing_child import uncrossed
+from .united import manifold
 
 FLAT = 0.1
 """Largest distance of an opening's edge from its plane, over the opening's extent."""
@@ -16,13 +24,15 @@ LEVEL, FACING = 1e-3, 1e-3
 """Within what distance, over the extent, and one less what cosine two openings are in a plane."""
 EXACT = 1e-6
 """Relative error of the area of a triangulated opening."""
+SPECK = 1e-4
+"""Volume, over that of the largest part, below which what a cap cuts off is left out."""
 
 
 def capped(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     """The triangles of ``mesh`` with flat caps over all of its openings, and how many these are.
 
     None where edges are bad otherwise, an opening is not flat or touches another, the caps would
-    be large beside the mesh, or would cross it.
+    be large beside the mesh, or cross it so that no solid can be made of both.
     """
     vertices, triangles = fan_triangles(mesh)[:2]
     loops = _openings(PolygonMesh.of_triangles(vertices, triangles))
@@ -36,13 +46,26 @@ def capped(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
         return None
     closed = np.concatenate([triangles, caps])
     result = PolygonMesh.of_triangles(vertices, closed)
-    if len(bad_edges(result)):
-        return None
     from ..metrics.intersections import self_intersections  # what it compiles with is large
 
-    if (self_intersections(vertices, closed) >= len(triangles)).any():
-        return None
+    if len(bad_edges(result)) or (self_intersections(vertices, closed) >= len(triangles)).any():
+        solid = _resolved(result)
+        return None if solid is None else (solid, len(loops))
     return result, len(loops)
+
+
+def _resolved(mesh: PolygonMesh) -> PolygonMesh | None:
+    """What ``mesh``, whose caps touch or cross it, encloses, without the specks between both; None
+    where that fails."""
+    if enclosed_volume(*fan_triangles(mesh)[:2]) < 0:
+        mesh = PolygonMesh.of_triangles(mesh.vertices, mesh.face_vertices.reshape(-1, 3)[:, ::-1])
+    solid = manifold(uncrossed(mesh))
+    if solid is None:
+        return None
+    count, part = face_components(solid)
+    volume = np.abs(component_volumes(solid, part, count))
+    kept = solid.face_vertices.reshape(-1, 3)[(volume > SPECK * volume.max())[part]]
+    return PolygonMesh.of_triangles(solid.vertices, kept).without_unused_vertices()
 
 
 def _openings(mesh: PolygonMesh) -> list[Ints]:

@@ -116,7 +116,8 @@ class TriangleSource(ABC):
 
     @cached_property
     def united(self) -> Union | None:
-        """The union of closed parts that cross or hold each other, if there are any."""
+        """The union of closed parts that cross themselves, each other or hold each other, if there
+        are any."""
         return None if len(bad_edges(self.closed)) else united(self.closed, self.hollow)
 
     @property
@@ -297,21 +298,23 @@ class MeshSource(TriangleSource):
             "walls": 0 if self.unwalled is None else self.unwalled[1],
             "united_parts": 0 if self.united is None else self.united.crossing,
             "buried_parts": 0 if self.united is None else self.united.buried,
+            "folded_parts": 0 if self.united is None else self.united.folded,
             "sureness": round(self.sureness, 4),
         }
 
     def state(self) -> dict[str, Any]:
-        if not (self.repair or self.thickness or self.hollow) and self.reach is None:
-            return {}
+        asked = self.repair or self.thickness or self.hollow or self.reach is not None
+        if self.closed is self.joined and self.united is None and not asked:
+            return {"source/whole": np.bool_(self.open_edges == 0)}
         return {"source/vertices": self.vertices, "source/triangles": self.triangles}
 
     def restore(self, stored: Mapping[str, Any]) -> None:
         """Take what ``state`` was, of the same mesh."""
         if "source/vertices" in stored:
-            self.__dict__["polygons"] = PolygonMesh.of_triangles(
-                stored["source/vertices"], stored["source/triangles"]
-            )
-            self.reach = 0.0  # it has been welded as was asked
+            mesh = PolygonMesh.of_triangles(stored["source/vertices"], stored["source/triangles"])
+            self.__dict__ |= {"polygons": mesh, "joined": mesh, "closed": mesh, "united": None}
+        elif stored.get("source/whole"):
+            self.__dict__["united"] = None
 
     def warnings(self) -> list[str]:
         said = []
@@ -356,6 +359,11 @@ class MeshSource(TriangleSource):
         if self.united is not None and self.united.crossing:
             said.append(
                 f"{self.united.crossing} closed parts of the mesh cross each other: they are united"
+            )
+        if self.united is not None and self.united.folded:
+            said.append(
+                f"closed parts of the mesh that cross themselves: {self.united.folded}; the "
+                "surface of what they enclose is taken"
             )
         if self.united is not None and self.united.buried:
             taken = (

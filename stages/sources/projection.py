@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.geometry import sample_triangles, triangle_normals
 from ..surface.polygons import Floats, Ints
+
+if TYPE_CHECKING:
+    from ..surface.triangle_tree import TriangleTree
 
 SAMPLES = 60_000
 """Points that stand for the surface, beside the centroid of every triangle."""
@@ -20,7 +23,7 @@ AGAINST = -0.2
 
 
 class ClosestPoint:
-    """Exact closest points, found with libigl's tree of bounding boxes.
+    """Exact closest points, found with a tree of bounding boxes.
 
     ``samples (S, 3)`` lie on triangles ``owner (S,)`` with ``corners (T, 3, 3)`` and unit
     ``normals (T, 3)``. ``reach`` is the distance that a turn of a normal by one radian counts for
@@ -64,13 +67,11 @@ class ClosestPoint:
             self.__dict__.pop(tree, None)
 
     @cached_property
-    def tree(self) -> Any:
+    def tree(self) -> TriangleTree:
         """Over the triangles."""
-        import igl
+        from ..surface.triangle_tree import TriangleTree  # numba, which it needs, is large
 
-        tree = igl.AABB()
-        tree.init(self.vertices, self.triangles)
-        return tree
+        return TriangleTree(self.vertices, self.triangles, self.threads)
 
     @cached_property
     def facing(self) -> Any:
@@ -81,10 +82,8 @@ class ClosestPoint:
 
     def locate(self, points: Floats) -> tuple[Floats, Ints]:
         """The closest points ``(N, 3)`` of all triangles, and the triangle of each ``(N,)``."""
-        _, triangle, closest = self.tree.squared_distance(
-            self.vertices, self.triangles, np.ascontiguousarray(points)
-        )
-        return closest, triangle.astype(np.int64)
+        _, triangle, closest = self.tree.closest(points)
+        return closest, triangle
 
     def __call__(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
         """Closest points ``(N, 3)`` and the unit normals of their triangles.

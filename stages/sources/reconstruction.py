@@ -89,7 +89,7 @@ def reconstruct(
 
     Raises InputError when the points have no inside.
     """
-    import igl
+    from ..surface.triangle_tree import TriangleTree
 
     kept = ~outliers(points, threads)
     low = points[kept].min(axis=0)
@@ -128,7 +128,7 @@ def reconstruct(
         vertices, triangles, unit, _at(grid, potential, unit), blur, given_noise is not None, edge,
         threads,
     )  # fmt: skip
-    square = igl.point_mesh_squared_distance(unit, vertices, triangles)[0]
+    square, _, _ = TriangleTree(vertices, triangles, threads).closest(unit)
     missed = float((np.sqrt(square) > max(MISSED * apart, MISSED_NOISES * blur)).mean())
     return Reconstruction(
         low + size * vertices, triangles, size * blur, size * apart, kept, agreement, missed

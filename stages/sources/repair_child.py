@@ -3,16 +3,12 @@ this module becomes imports it."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
 from ..errors import InputError
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import PolygonMesh
+from .child import Arrays, ChildFailed, answer, in_child
 
 SECONDS = 300
 LARGEST_HOLE = 10_000
@@ -28,35 +24,24 @@ def repaired(mesh: PolygonMesh, name: str) -> PolygonMesh:
     vertices, triangles, _ = fan_triangles(mesh)
     # pymeshlab may compute in single precision.
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
-    with tempfile.TemporaryDirectory() as folder:
-        given, found = Path(folder) / "given.npz", Path(folder) / "found.npz"
-        np.savez(given, vertices=(vertices - low) / size, triangles=triangles)
-        try:
-            done = subprocess.run(
-                [sys.executable, "-m", __name__, str(given), str(found)],
-                capture_output=True, text=True, timeout=SECONDS,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise InputError(
-                f"{name}: --repair took longer than {SECONDS} s; leave it out"
-            ) from None
-        if done.returncode or not found.is_file():
-            said = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
-            raise InputError(f"{name}: --repair by pymeshlab failed ({said[:120]}); leave it out")
-        with np.load(found) as arrays:
-            vertices, triangles = arrays["vertices"], arrays["triangles"].astype(np.int64)
+    given = {"vertices": (vertices - low) / size, "triangles": triangles}
+    try:
+        found = in_child(__name__, given, SECONDS)
+    except ChildFailed as error:
+        raise InputError(f"{name}: --repair by pymeshlab failed: {error}; leave it out") from None
+    triangles = found["triangles"].astype(np.int64)
     if len(triangles) == 0:
         raise InputError(f"{name}: --repair removes every face; leave it out")
-    return PolygonMesh.of_triangles(low + size * vertices, triangles).without_unused_vertices()
+    return PolygonMesh.of_triangles(
+        low + size * found["vertices"].astype(float), triangles
+    ).without_unused_vertices()
 
 
-def _repair(given: str, found: str) -> None:
+def _repair(given: Arrays) -> Arrays:
     import pymeshlab
 
-    with np.load(given) as arrays:
-        mesh = pymeshlab.Mesh(arrays["vertices"], arrays["triangles"].astype(np.int32))
     meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(mesh)
+    meshes.add_mesh(pymeshlab.Mesh(given["vertices"], given["triangles"].astype(np.int32)))
     meshes.meshing_remove_duplicate_vertices()
     meshes.meshing_remove_duplicate_faces()
     meshes.meshing_remove_null_faces()
@@ -66,8 +51,8 @@ def _repair(given: str, found: str) -> None:
     meshes.meshing_close_holes(maxholesize=LARGEST_HOLE)
     meshes.meshing_remove_unreferenced_vertices()
     result = meshes.current_mesh()
-    np.savez(found, vertices=result.vertex_matrix(), triangles=result.face_matrix())
+    return {"vertices": result.vertex_matrix(), "triangles": result.face_matrix()}
 
 
 if __name__ == "__main__":
-    _repair(*sys.argv[1:])
+    answer(_repair)

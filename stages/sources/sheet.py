@@ -22,6 +22,8 @@ def thickened(mesh: PolygonMesh, thickness: float, name: str) -> PolygonMesh:
     """
     import igl
 
+    from ..surface.triangle_tree import TriangleTree
+
     vertices, triangles, _ = fan_triangles(mesh)
     edge = thickness / ACROSS
     low = vertices.min(axis=0) - 0.5 * thickness - 1.5 * edge
@@ -37,7 +39,7 @@ def thickened(mesh: PolygonMesh, thickness: float, name: str) -> PolygonMesh:
         * np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape[::-1])), axis=1)[:, ::-1]
     )  # the first index runs fastest
     nodes = np.ascontiguousarray(nodes)
-    square = igl.point_mesh_squared_distance(nodes, np.ascontiguousarray(vertices), triangles)[0]
+    square, _, _ = TriangleTree(vertices, triangles).closest(nodes)
     made, faces, _ = igl.marching_cubes(
         np.sqrt(square) - 0.5 * thickness, nodes, *map(int, shape), 0.0
     )

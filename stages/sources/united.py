@@ -13,6 +13,7 @@ from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.solids import solid_of
 from ..surface.thickness import searched
 from ..surface.topology import bad_edges, face_components, split_pinched
+from .crossing_child import uncrossed
 from .parity import RayParity
 
 DIRECTIONS = 200
@@ -25,38 +26,40 @@ SAME = 9
 
 @dataclass(frozen=True)
 class Union:
-    """A closed surface ``mesh``, how many parts cross another and how many lie within another that
-    faces the same way."""
+    """A closed surface ``mesh``, how many parts cross another, how many lie within another that
+    faces the same way, and how many cross themselves."""
 
     mesh: PolygonMesh
     crossing: int
     buried: int
+    folded: int
 
 
 def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
     """The union of the closed parts of ``mesh``, whose edges are all in two faces; None where each
-    is outside all others or a cavity of one, or no solid can be made of them.
+    is outside all others or a cavity of one and none crosses itself, or no solid can be made of
+    them.
 
     A part that is turned inside out is a cavity where it lies within another that it does not
     cross; elsewhere it is taken the right way round. One within another that faces the same way
-    adds nothing; with ``hollow`` each second of such parts is a cavity.
+    adds nothing; with ``hollow`` each second of such parts is a cavity. A part that crosses itself
+    is what it winds around at least once.
     """
-    mesh = split_pinched(PolygonMesh.of_triangles(*fan_triangles(mesh)[:2]))
-    count, part = face_components(mesh)
-    if count == 1:
-        return None
-    low, high = _boxes(mesh, part, count)
-    if not _boxes_meet(low, high):
-        return None
     from ..metrics.intersections import self_intersections  # what it compiles with is large
 
+    mesh = split_pinched(PolygonMesh.of_triangles(*fan_triangles(mesh)[:2]))
+    count, part = face_components(mesh)
     triangles = mesh.face_vertices.reshape(-1, 3)
     pairs = part[self_intersections(mesh.vertices, triangles)]
+    folded = np.unique(pairs[pairs[:, 0] == pairs[:, 1]])
+    low, high = _boxes(mesh, part, count)
+    if len(folded) == 0 and not _boxes_meet(low, high):
+        return None
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
     volume = component_volumes(mesh, part, count)
     depth = _depths(mesh, part, low, high, volume, np.unique(pairs))
     buried = depth > 0
-    if len(pairs) == 0 and not buried.any():
+    if len(pairs) == 0 and len(folded) == 0 and not buried.any():
         return None
     if hollow:
         volume[depth % 2 == 1] *= -1
@@ -69,6 +72,13 @@ def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
         ).without_unused_vertices()
         for number in range(count)
     ]
+    for number in folded.tolist():
+        whole = manifold(uncrossed(shells[number]))
+        if whole is None:
+            return None
+        shells[number] = whole
+    if count == 1:
+        return Union(shells[0], 0, 0, 1)
     try:
         solids = [solid_of(shell) for shell in shells]
     except NumericalFailure:
@@ -89,9 +99,10 @@ def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
     result = PolygonMesh.of_triangles(
         np.asarray(found.vert_properties)[:, :3].copy(), np.asarray(found.tri_verts, np.int64)
     )
-    if result.face_count == 0 or len(bad_edges(result)):
+    whole = manifold(result)
+    if whole is None:
         return None
-    return Union(result, len(np.unique(pairs)), int(buried.sum()))
+    return Union(whole, len(np.unique(pairs)), int(buried.sum()), len(folded))
 
 
 def _depths(
@@ -110,6 +121,16 @@ def _depths(
         tip = mesh.vertices[triangles[np.argmax(part == number), :1]]
         depth[number] = max(0, int(rays.winding(tip)[0]))
     return depth
+
+
+def manifold(mesh: PolygonMesh | None) -> PolygonMesh | None:
+    """``mesh`` with parts that touch along edges taken apart; None where there is none."""
+    if mesh is None or mesh.face_count == 0:
+        return None
+    if len(bad_edges(mesh)) == 0:
+        return mesh
+    apart = parted(mesh)
+    return None if apart is None else apart[0]
 
 
 def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
@@ -184,7 +205,7 @@ def without_walls(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
 
 def _seen(vertices: Floats, triangles: Ints, asked: Ints) -> NDArray[np.bool_]:
     """Which triangles ``asked (K,)`` some ray from one of their sides leaves the surface."""
-    tree, at, corners, normals = searched(vertices, triangles)
+    tree, normals = searched(vertices, triangles)
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     seen = np.zeros(len(asked), dtype=bool)
     golden = np.pi * (1 + 5**0.5)
@@ -197,10 +218,10 @@ def _seen(vertices: Floats, triangles: Ints, asked: Ints) -> NDArray[np.bool_]:
         # From the side that the direction leaves from, near the middle and near each corner.
         facing = np.where((facing @ way < 0)[:, None], -facing, facing)
         for weights in (np.full(3, 1 / 3), *(np.eye(3) * 0.85 + 0.05)):
-            start = np.einsum("k,nkj->nj", weights, at[corners[asked[left]]]) + OFF * size * facing
-            ways = np.ascontiguousarray(np.broadcast_to(way, start.shape))
-            hit = tree.intersect_ray_first(at, corners, np.ascontiguousarray(start), ways)[0]
-            seen[left[hit < 0]] = True
+            corners = vertices[triangles[asked[left]]]
+            start = np.einsum("k,nkj->nj", weights, corners) + OFF * size * facing
+            reach, _ = tree.first_met(start, np.broadcast_to(way, start.shape))
+            seen[left[np.isinf(reach)]] = True
     return seen
 
 

@@ -192,15 +192,15 @@ def _solid(mesh: Sized) -> Sized:
     """The surface of what the mesh goes round once: without what is inside out, or crosses."""
     import igl
 
+    from ..surface.triangle_tree import TriangleTree
+
     cell = 1 / CELLS
     vertices, triangles = np.ascontiguousarray(mesh.vertices), mesh.triangles
     grid = NodeGrid.around(vertices, cell)
     inside = np.asarray(igl.fast_winding_number(vertices, triangles, grid.nodes)) > 0.5
     values = np.where(inside, cell, -cell)
     near = grid.beside(inside)
-    square = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(grid.nodes[near]), vertices, triangles
-    )[0]
+    square, _, _ = TriangleTree(vertices, triangles).closest(grid.nodes[near])
     distance = np.maximum(np.sqrt(square), 1e-6 * cell)
     values[near] = np.where(inside[near], distance, -distance)
     made, faces = grid.surface(values, SPECK)

@@ -3,7 +3,7 @@ leave the spheres of opposite sheets room beside each other."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from .polygons import Floats, Ints
 
 if TYPE_CHECKING:
     from .creases import Creases
+    from .triangle_tree import TriangleTree
 
-FLAT, ROUND = 0.8, 0.5
+FLAT, ROUND = 1.0, 0.5
 """Edge over the thickness of a plate, and over that of a tube, up to which the spheres of one sheet
 leave out the generators of the other."""
 OPPOSITE = -0.5
@@ -31,15 +32,15 @@ RIM = 2.2
 
 
 def across(
-    tree: Any, vertices: Floats, triangles: Ints, normals: Floats, points: Floats, facing: Floats
+    tree: TriangleTree, normals: Floats, points: Floats, facing: Floats
 ) -> tuple[Floats, Floats]:
-    """Distances ``(2, S)`` from ``points (S, 3)`` of a surface that is ``facing (S, 3)`` there to
-    the opposite sheet, through the shape and through the gap outside, infinity where there is none;
-    and the cosines of the two normals."""
+    """Distances ``(2, S)`` from ``points (S, 3)`` of a surface to the opposite sheet, through the
+    shape and through the gap outside, infinity where there is none; and the cosines of the two
+    normals. The triangles of ``tree`` have ``normals (T, 3)``, the points ``facing (S, 3)``."""
     distance, cosine = np.full((2, len(points)), np.inf), np.ones((2, len(points)))
     for row, sign in enumerate((-1.0, 1.0)):
-        way = np.ascontiguousarray(sign * facing)
-        hit, reach, _ = tree.intersect_ray_first(vertices, triangles, points + BESIDE * way, way)
+        way = sign * facing
+        reach, hit = tree.first_met(points + BESIDE * way, way)
         met = np.flatnonzero(hit >= 0)
         cosine[row, met] = np.einsum("ij,ij->i", normals[hit[met]], facing[met])
         distance[row, met] = np.where(cosine[row, met] < OPPOSITE, reach[met] + BESIDE, np.inf)
@@ -50,18 +51,15 @@ def thickness(vertices: Floats, triangles: Ints, owner: Ints) -> Floats:
     """Of the shape or the gap, whichever is thinner, at the middle of triangles ``owner (S,)``;
     infinity where there is no opposite sheet."""
     points = vertices[triangles[owner]].mean(axis=1)
-    mesh = searched(vertices, triangles)
-    return np.asarray(across(*mesh, points, mesh[-1][owner])[0].min(axis=0))
+    tree, normals = searched(vertices, triangles)
+    return np.asarray(across(tree, normals, points, normals[owner])[0].min(axis=0))
 
 
-def searched(vertices: Floats, triangles: Ints) -> tuple[Any, Floats, Ints, Floats]:
-    """A tree of the triangles, what it was made of, and their normals."""
-    import igl
+def searched(vertices: Floats, triangles: Ints) -> tuple[TriangleTree, Floats]:
+    """A tree of the triangles, and their normals."""
+    from .triangle_tree import TriangleTree  # numba, which it needs, is large
 
-    vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
-    tree = igl.AABB()
-    tree.init(vertices, triangles)
-    return tree, vertices, triangles, triangle_normals(vertices, triangles)[0]
+    return TriangleTree(vertices, triangles), triangle_normals(vertices, triangles)[0]
 
 
 def thin_lengths(
@@ -77,10 +75,10 @@ def thin_lengths(
     Towards a crease at which two sheets meet in a wedge the thickness goes to zero; edges beside
     it need not be shorter than ``shortest_at_creases``.
     """
-    mesh = searched(vertices, triangles)
-    facing = mesh[-1][owner]
-    distance, cosine = across(*mesh, points, facing)
-    share = np.where(_round(*mesh, points, facing, distance.min(axis=0)), ROUND, FLAT)
+    tree, normals = searched(vertices, triangles)
+    facing = normals[owner]
+    distance, cosine = across(tree, normals, points, facing)
+    share = np.where(_round(tree, normals, points, facing, distance.min(axis=0)), ROUND, FLAT)
     if creases is not None:
         near = np.linalg.norm(points - creases.closest(points)[0], axis=1)
         floor = shortest_at_creases / share
@@ -94,9 +92,8 @@ def thin_lengths(
 
 
 def _round(
-    tree: Any, vertices: Floats, triangles: Ints, normals: Floats, points: Floats, facing: Floats,
-    thickness: Floats,
-) -> NDArray[np.bool_]:  # fmt: skip
+    tree: TriangleTree, normals: Floats, points: Floats, facing: Floats, thickness: Floats
+) -> NDArray[np.bool_]:
     """Which of ``points`` lie on a part that turns within its own thickness, as a tube does: the
     surface closest to a point beside them, in their tangent plane, faces another way."""
     turned = np.zeros(len(points), dtype=bool)
@@ -106,6 +103,6 @@ def _round(
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.finfo(float).tiny)
     for way in (first, -first, np.cross(own, first), -np.cross(own, first)):
         beside = points[thin] + ASIDE * thickness[thin, None] * way
-        _, near, _ = tree.squared_distance(vertices, triangles, np.ascontiguousarray(beside))
+        _, near, _ = tree.closest(beside)
         turned[thin] |= np.einsum("ij,ij->i", normals[near], own) < TURNED
     return turned

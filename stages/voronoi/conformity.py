@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..surface.geometry import face_frames
-from ..surface.polygons import Floats, Ints, PolygonMesh
 from .interface import VoronoiSurface
+from .trained_surface import TrainedSurface
 
 
 @dataclass(frozen=True)
@@ -31,35 +31,25 @@ class Conformity:
 
 
 def conformity(
-    surface: VoronoiSurface,
-    pair_of_generator: Ints,
-    trained: PolygonMesh,
-    radii: Floats,
-    inside: Floats,
-    outside: Floats,
-    spacing: float,
-    threads: int = 1,
+    surface: VoronoiSurface, trained: TrainedSurface, threads: int = 1, spacing: float = 1.0
 ) -> Conformity:
-    """Compare the interface ``surface`` with the ``trained`` faces and their generator pairs.
-
-    ``inside, outside (F, 3)`` belong to trained face f; ``pair_of_generator (N,)`` says which pair
-    a generator of the diagram is from; ``radii (V,)`` are the spheres' over ``trained.vertices``.
-    """
+    """Compare the interface ``surface`` of the generators of ``trained`` with its faces."""
     from ..surface.spheres import near_pairs
 
     area, _, _ = face_frames(surface.mesh)
-    owner = pair_of_generator[surface.generators]
+    owner = trained.faces_of_generators[surface.generators]
     own = owner[:, 0] == owner[:, 1]
-    corner, face = trained.face_vertices, trained.corner_faces
+    mesh, radii = trained.polygons, trained.radii
+    corner, face = mesh.face_vertices, mesh.corner_faces
     residual = np.concatenate(
         [
-            ((points[face] - trained.vertices[corner]) ** 2).sum(axis=1) - radii[corner] ** 2
-            for points in (inside, outside)
+            ((points[face] - mesh.vertices[corner]) ** 2).sum(axis=1) - radii[corner] ** 2
+            for points in (trained.inside, trained.outside)
         ]
     )
-    targets = np.concatenate([outside, inside])
-    point, sphere = near_pairs(trained, targets, trained.vertices, radii, 0.0, threads)
-    reach = ((targets[point] - trained.vertices[sphere]) ** 2).sum(axis=1) - radii[sphere] ** 2
+    targets = np.concatenate([trained.outside, trained.inside])
+    point, sphere = near_pairs(mesh, targets, mesh.vertices, radii, 0.0, threads)
+    reach = ((targets[point] - mesh.vertices[sphere]) ** 2).sum(axis=1) - radii[sphere] ** 2
     return Conformity(
         pair_area_share=float(area[own].sum() / area.sum()),
         pair_faces=len(np.unique(owner[own, 0])),

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..surface.polygons import Ints, PolygonMesh
 from ..surface.topology import topology
-from .certificate import Certificate, certify
+from .certificate import Certificate
 from .cleanup import CleanSurface, clean
 from .conformity import Conformity, conformity
-from .interface import interface
+from .trained_surface import TrainedSurface
 from .vertices import FLAT
 
 MERGE = 1e-4
@@ -78,32 +78,28 @@ class Written:
 
 
 def written(
-    trained: PolygonMesh, radii: Floats, inside: Floats, outside: Floats, merge: float,
-    threads: int, refused: Callable[[Certificate], None] = lambda certificate: None,
+    trained: TrainedSurface, merge: float, threads: int,
+    refused: Callable[[Certificate], None] = lambda certificate: None,
 ) -> Written:  # fmt: skip
-    """The trained faces if the certificate holds, else the interface of ``inside, outside (F, 3)``.
+    """The trained faces if the certificate holds, else the interface of their generators.
 
     In the interface, vertices within ``merge`` of a trained one move to it where the topology
     allows (0: none). ``refused`` is called with a certificate that does not hold, before anything
     else.
     """
-    count = trained.face_count
-    generators = np.concatenate([inside, outside])
-    labels, owner = np.arange(2 * count) < count, np.arange(2 * count) % count
-    pairs = np.stack([np.arange(count), count + np.arange(count)], axis=1)
-    certificate = certify(trained, radii, generators, labels, pairs, threads)
+    certificate = trained.certificate(threads)
     if not certificate.holds:
         refused(certificate)
-    raw = interface(generators, labels)
-    agreement = conformity(raw, owner, trained, radii, inside, outside, 1.0, threads)
+    raw = trained.interface()
+    agreement = conformity(raw, trained, threads)
     compared = clean(raw, spacing=1.0, merge=MERGE)
     if certificate.holds:
-        bounds = np.stack([np.arange(count)] * 2, axis=1)
+        bounds = np.stack([np.arange(trained.face_count)] * 2, axis=1)
         faces = compared.mesh.face_count
-        return Written(trained, bounds, certificate, agreement, compared, faces, 0.0)
+        return Written(trained.polygons, bounds, certificate, agreement, compared, faces, 0.0)
     cleaned, within = clean(raw, spacing=1.0), 0.0
     if merge > 0:
-        simpler = clean(raw, spacing=1.0, anchors=trained.vertices, reach=merge)
+        simpler = clean(raw, spacing=1.0, anchors=trained.polygons.vertices, reach=merge)
         facts = [topology(mesh) for mesh in (cleaned.mesh, simpler.mesh)]
         same = len({(f.euler_number, f.components, f.bad_edges, f.pinched_vertices) for f in facts})
         if same == 1:
@@ -115,7 +111,7 @@ def written(
             cleaned = simpler
     return Written(
         cleaned.mesh,
-        owner[cleaned.generators],
+        trained.faces_of_generators[cleaned.generators],
         certificate,
         agreement,
         cleaned,
