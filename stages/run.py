@@ -186,7 +186,9 @@ def _planned(
     given = {key.replace("_", "-"): value for key, value in options.items()}
     for name in given:
         if name not in names:
-            raise UsageError(f"{name}: is no stage of this run; its stages are {', '.join(names)}")
+            raise UsageError(
+                f"{name}: is not a stage of this run; its stages are {', '.join(names)}"
+            )
     planned = {}
     for name in names:
         wanted = given.get(name, {})
@@ -206,7 +208,9 @@ def _params(name: str, values: Mapping[str, Any]) -> Params:
     known = {option.name for option in options(stage.params)}
     unknown = sorted(set(values) - known)
     if unknown:
-        raise UsageError(f"{name}: {unknown[0]} is none of its options: {', '.join(sorted(known))}")
+        raise UsageError(
+            f"{name}: {unknown[0]} is not one of its options: {', '.join(sorted(known))}"
+        )
     return stage.params(**values)
 
 
@@ -223,8 +227,8 @@ def _written(shape: Any, folder: Path, kind: str | None) -> Identity:
         values = np.asarray(shape)
         if values.dtype.kind not in "fiu" or values.ndim not in (2, 3):
             raise UsageError(
-                f"shape: a {type(shape).__name__} is no path, mesh, (N, 3) points or (X, Y, Z) "
-                "samples; give one of these"
+                f"shape: a {type(shape).__name__} is not a path, a mesh, (N, 3) points "
+                "or (X, Y, Z) samples; give one of these"
             )
         buffer = io.BytesIO()
         np.save(buffer, values, allow_pickle=False)
@@ -277,4 +281,4 @@ class _Reported(Silent):
     def advance(self, done: int, note: str = "") -> None:
         share = 1.0 if self.total == 0 else min(done / self.total, 1.0)
         if self.tell(self.stage, self.label, share) is False:
-            raise Stopped("stopped by its caller; the same call goes on from the last checkpoint")
+            raise Stopped("stopped by its caller; the same call continues from the last checkpoint")

@@ -362,8 +362,8 @@ class MeshSource(TriangleSource):
             )
         if self.united is not None and self.united.folded:
             said.append(
-                f"closed parts of the mesh that cross themselves: {self.united.folded}; the "
-                "surface of what they enclose is taken"
+                "closed parts of the mesh that cross themselves: "
+                f"{self.united.folded}; they become the solid that they enclose"
             )
         if self.united is not None and self.united.buried:
             taken = (
