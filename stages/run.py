@@ -30,17 +30,6 @@ SURFACES = ("sphere-train", "init")
 """Stages that write a surface, the later one first."""
 
 
-def stages_until(until: str, kind: str) -> list[str]:
-    """The stages of a run of an input of this ``kind``, in order, the last one being ``until``.
-
-    Raises UsageError for what is no stage of a whole run.
-    """
-    if until not in standing.ORDER:
-        raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
-    stages = standing.ORDER[: standing.ORDER.index(until) + 1]
-    return [name for name in stages if name != "shade" or kind == "views"]
-
-
 @dataclass(frozen=True)
 class Run:
     """What a run left in its ``folder``. Lengths are in the units of the input."""
@@ -140,7 +129,7 @@ def run(
     ``shape`` is a path or the name of a field, as INPUT of the command line; a mesh as an object
     with ``vertices`` and ``faces`` (trimesh), as VTK's polygon data (pyvista), or as a tuple
     ``(vertices (V, 3), faces (F, k))``; points ``(N, 3)``; or samples of a field on a grid
-    ``(X, Y, Z)``, negative inside. What is no path is written into the run folder first.
+    ``(X, Y, Z)``, negative inside. An object is written into the run folder first.
 
     ``folder`` is the run folder: by default that of the command line for a path or a name, and a
     temporary one, which is deleted with the result, for anything else. ``n`` is the number of
@@ -163,7 +152,7 @@ def run(
             lent = tempfile.TemporaryDirectory(prefix="vorolight-")
         place = RunFolder(Path(lent.name if lent else folder or ""))
         source = _written(shape, place.path, kind)
-    names = stages_until(until, source.kind)
+    names = standing.stages_until(until, source.kind)
     planned = _planned(names, n, options)
     session = standing.Session(
         folder=place,
@@ -182,7 +171,7 @@ def run(
 def _planned(
     names: list[str], n: int | None, options: Mapping[str, Mapping[str, Any] | Params]
 ) -> dict[str, Params]:
-    """The Params of each stage. Raises UsageError for what is no stage or no option of it."""
+    """The Params of each stage. Raises UsageError for an unknown stage or option."""
     given = {key.replace("_", "-"): value for key, value in options.items()}
     for name in given:
         if name not in names:

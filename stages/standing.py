@@ -29,6 +29,17 @@ def get(name: str) -> Stage:
     return stage
 
 
+def stages_until(until: str, kind: str) -> list[str]:
+    """The stages of a run of an input of this ``kind``, in order, the last one being ``until``.
+
+    Raises UsageError if it is not a stage of a whole run.
+    """
+    if until not in ORDER:
+        raise UsageError(f"--until {until}: must be one of {', '.join(ORDER)}")
+    stages = ORDER[: ORDER.index(until) + 1]
+    return [name for name in stages if name != "shade" or kind == "views"]
+
+
 def available_threads() -> int:
     """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):

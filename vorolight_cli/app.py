@@ -17,7 +17,6 @@ from vorolight.stages import pipeline, standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import UsageError, VorolightError
-from vorolight.stages.run import stages_until
 
 from . import completion, signals, summary
 from .collect import collect
@@ -82,7 +81,7 @@ def _until(
         ),
     ] = "fabricate",
 ) -> str:
-    stages_until(until, "views")  # refuses what is none
+    standing.stages_until(until, "views")  # refuses what is not a stage
     return until
 
 
@@ -254,7 +253,7 @@ def _run_command() -> None:
         }
         first: str | None = None
         source = standing.input_of(common.session)
-        for name in stages_until(until, "" if source is None else source.kind):
+        for name in standing.stages_until(until, "" if source is None else source.kind):
             if first is not None:
                 common.console.say(f"{name}: would run ({first} changed)")
                 common.console.data(

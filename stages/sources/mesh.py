@@ -369,10 +369,8 @@ class MeshSource(TriangleSource):
             taken = (
                 "every second one becomes a hollow"
                 if self.hollow
-                else (
-                    "what lies within a solid is left out; --shells alternate makes every "
-                    "second one a hollow"
-                )
+                else "those within a solid are left out; --shells alternate makes hollows of "
+                "every second one"
             )
             said.append(
                 "closed parts of the mesh that lie inside others and face the same "
