@@ -131,7 +131,7 @@ def test_parts_that_touch_are_closed(
     source = MeshSource(write_ply(tmp_path / "touch.ply", vertices, triangles))
     assert source.topology() == expected
     assert source.open_edges == 0
-    assert f"{left_out} of its 24 faces are left out" in source.warnings()[0]
+    assert f"{left_out} of its 24 faces, which are doubled" in source.warnings()[0]
 
 
 def test_walls_between_stacked_boxes_are_left_out(tmp_path: Path) -> None:
