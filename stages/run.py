@@ -235,13 +235,14 @@ def _as_mesh(shape: Any) -> PolygonMesh | None:
     if isinstance(shape, PolygonMesh):
         return shape
     if hasattr(shape, "GetPolys"):
-        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.util import numpy_support
 
+        to_numpy: Any = numpy_support.vtk_to_numpy
         polygons = shape.GetPolys()
         return PolygonMesh(
-            vtk_to_numpy(shape.GetPoints().GetData()).astype(np.float64),
-            vtk_to_numpy(polygons.GetOffsetsArray()).astype(np.int64),
-            vtk_to_numpy(polygons.GetConnectivityArray()).astype(np.int64),
+            to_numpy(shape.GetPoints().GetData()).astype(np.float64),
+            to_numpy(polygons.GetOffsetsArray()).astype(np.int64),
+            to_numpy(polygons.GetConnectivityArray()).astype(np.int64),
         )
     if isinstance(shape, tuple) and len(shape) == 2:
         vertices, faces = shape

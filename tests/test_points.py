@@ -277,7 +277,7 @@ def test_options_that_do_not_fit(tmp_path: Path, cli: Cli) -> None:
         (["sphere", "--noise", 0.1], "--noise: needs a point cloud"),
         (["sphere", "--kind", "mesh"], "no such file"),
         (["sphere", "--kind", "cloud"], "must be one of mesh, points, field"),
-        (["--kind", "mesh"], "give one"),
+        (["--kind", "mesh"], "give an INPUT"),
     ):
         done = cli("classify", *words, cwd=tmp_path)
         assert done.returncode in (2, 3), done.stderr
