@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from . import contract
-from .contract import Context, Outcome, Positive, Range, Short, Stage
-from .errors import UsageError
+from .contract import MAX_FACES, Context, Outcome, Positive, Range, Short, Stage
+from .errors import InputError, UsageError
 from .memory import peak
+from .sphere_params import DEFAULTS
 
 if TYPE_CHECKING:
+    from .sources.effort import Effort
     from .sources.images import ViewSource
 
 
@@ -48,8 +50,11 @@ class Params(contract.Params):
     """Merge vertices of open edges of a mesh within this distance, in the unit of the input; 0
     merges only those at the same place. Default: those that single precision cannot tell apart."""
     allow_poor_input: bool = False
-    """Continue with a mesh most of whose edges are open and whose inside is uncertain. Not needed
-    with --thickness."""
+    """Continue with a mesh most of whose edges are open and whose inside is uncertain, or with a
+    shape so thin that its surface needs more than 400,000 triangles. With --thickness a mesh is a
+    sheet, whatever its edges are."""
+    max_time: Annotated[float, Range(0)] | None = None
+    """Refuse a shape whose run up to the surface would take about more CPU seconds than this."""
     shells: Literal["union", "alternate"] = "union"
     """Closed parts of a mesh inside each other that all face outward: union makes them one solid,
     alternate makes every second one a hollow."""
@@ -63,6 +68,7 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .sources import voxels
+    from .sources.effort import effort
     from .sources.fields import FieldSource
     from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
@@ -102,10 +108,6 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--weld: needs a mesh, but the input is of kind {source.kind}")
     elif params.shells != "union":
         raise UsageError(f"--shells: needs a mesh, but the input is of kind {source.kind}")
-    elif params.allow_poor_input:
-        raise UsageError(
-            f"--allow-poor-input: needs a mesh, but the input is of kind {source.kind}"
-        )
     elif params.repair:
         raise UsageError(f"--repair: needs a mesh, but the input is of kind {source.kind}")
     context.progress.start("classify", 2 * voxels.ROUNDS)
@@ -119,6 +121,8 @@ def run(context: Context) -> Outcome:
     grid = voxels.classify(source, params.n_init, context.random, tick)
     low, high = source.bounding_box()
     thin = thin_parts(source, grid, context.threads)
+    needed = effort(source, grid, DEFAULTS["triangle"]["edge_length"])
+    _check_effort(needed, params, str(source.path or source.name))
     return Outcome(
         arrays={
             "origin": grid.origin,
@@ -133,6 +137,7 @@ def run(context: Context) -> Outcome:
             "interior_voxels": int(grid.interior.sum()),
             "exterior_voxels": int(grid.exterior.sum()),
             "thin_parts": vars(thin),
+            "effort": needed.facts(),
         },
         warnings=source.warnings() + [said for said in [thin.warning()] if said],
         frame={
@@ -141,6 +146,19 @@ def run(context: Context) -> Outcome:
             "bounding_box": [low.tolist(), high.tolist()],
         },
     )
+
+
+def _check_effort(needed: Effort, params: Params, name: str) -> None:
+    """Raise InputError if the run would need too many triangles, or too much time."""
+    refused = needed.refusal(MAX_FACES)
+    if refused is not None and not params.allow_poor_input:
+        raise InputError(f"{name}: {refused}")
+    if params.max_time is not None and needed.cpu_seconds > params.max_time:
+        raise InputError(
+            f"{name}: the run up to the surface takes about {needed.cpu_seconds:.0f} CPU seconds "
+            f"for {needed.triangles:,} triangles, more than --max-time {params.max_time:g}: raise "
+            "it, or lower -n"
+        )
 
 
 def _fit(source: ViewSource, context: Context) -> None:

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from .sources.true_surface import TrueSurface
 
 
+MAX_FACES = 400_000
+"""Triangles that a surface may need, unless more are asked for."""
+
+
 @dataclass(frozen=True)
 class Range:
     """Bounds of a number, both included; None is no bound."""

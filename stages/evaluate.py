@@ -15,6 +15,7 @@ from . import contract
 from .contract import Context, Outcome, Range, Stage
 from .errors import InputError
 from .memory import peak
+from .sources import packed
 
 if TYPE_CHECKING:
     from .surface.polygons import Floats, Ints, PolygonMesh
@@ -314,7 +315,8 @@ def _parents(params: Params) -> tuple[str, ...]:
 
 
 def _stem(params: Params) -> str:
-    return f"evaluate-{'file-' + Path(params.surface).stem if params.surface else params.of}"
+    of = f"file-{packed.stem(Path(params.surface))}" if params.surface else params.of
+    return f"evaluate-{of}"
 
 
 def _memory(context: Context) -> float:

@@ -18,6 +18,7 @@ ENABLES = {
     "fast": "--backend shull, faster diagrams",
     "render": "fabricate --render as a path-traced picture",
     "images": "pictures of phones (HEIC)",
+    "scans": "point clouds in LAS, LAZ and E57",
     "cluster": "tables as .parquet, workflows on many machines",
 }
 """The purpose of each extra; extras for developers are left out."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from . import contract
-from .contract import Positive, Range, Share
+from .contract import MAX_FACES, Positive, Range, Share
 from .errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Params(contract.Params):
     faces_target: Annotated[int, Range(100, 10_000_000)] | None = None
     """Number of triangles, within 5 %; with --refine the maximum. Polygons are merged of these
     triangles."""
-    max_faces: Annotated[int, Range(100, 100_000_000)] = 400_000
+    max_faces: Annotated[int, Range(100, 100_000_000)] = MAX_FACES
     """Maximum number of triangles. A shape whose thin parts and gaps need more is refused before
     the training."""
     allow_uncertified: bool = False

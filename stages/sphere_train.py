@@ -31,10 +31,10 @@ it."""
 def run(context: Context) -> Outcome:
     """Train spheres and pairs of generators (the paper's sections 3.3 and 3.4), and write the
     surface."""
-    torch_start.start(context.threads)
-    if context.params.by_adam:
-        return _as_in_the_paper(context)
-    return _conforming(context)
+    # Formulas are differentiated by torch, which is large.
+    if context.params.by_adam or context.source().kind == "field":
+        torch_start.start(context.threads)
+    return _as_in_the_paper(context) if context.params.by_adam else _conforming(context)
 
 
 def _on_cpu(context: Context) -> list[str]:

@@ -212,6 +212,45 @@ def test_columns_that_are_asked_for(tmp_path: Path, cli: Cli) -> None:
     assert "left out" not in (tmp_path / "a.vorolight" / "report.html").read_text()
 
 
+def test_texts_as_people_have_them(tmp_path: Path) -> None:
+    points = fibonacci(300) * [3.0, 4.0, 5.0]
+
+    def lines(pattern: str, begin: int = 0, end: int = 300) -> str:
+        return "".join(
+            pattern.format(*point, k=k) + "\n" for k, point in enumerate(points[begin:end].tolist())
+        )
+
+    colours = "{0!r} {1!r} {2!r} -1200 10 20 30"
+    for name, text in {
+        "count.pts": "300\n" + lines(colours),
+        "words.pts": "300 points\n" + lines(colours),
+        "blank.pts": "\n\n300\n\n" + lines(colours),
+        "names.pts": "//X,Y,Z,Intensity\n300\n" + lines("{0!r} {1!r} {2!r} 5"),
+        "title.pts": "# units: mm\nCOUNT 300\n" + lines(colours),
+        "several.pts": f"100\n{lines(colours, 0, 100)}0\n200\n{lines(colours, 100)}",
+        "quoted.csv": '"x","y","z"\n' + lines('"{0!r}","{1!r}","{2!r}"'),
+        "nameless.csv": lines('"{0!r}","{1!r}","{2!r}"'),
+        "last.csv": "x,y,z,class\n" + lines('{0!r},{1!r},{2!r},"low wall, old"'),
+        "first.csv": "class,x,y,z\n" + lines("wall {k},{0!r},{1!r},{2!r}"),
+        "class.txt": lines("wall {0!r} {1!r} {2!r}"),
+        "mixed.xyz": lines("{0!r} {1!r} {2!r}", 0, 150) + lines("{0!r} {1!r} {2!r} 7", 150),
+        "mixed.csv": lines("{0!r},{1!r},{2!r},7", 0, 150) + lines("{0!r},{1!r},{2!r}", 150),
+        "ends.csv": lines("{0!r},{1!r},{2!r},"),
+        "sep.csv": "sep=;\nx;y;z\n" + lines("{0!r};{1!r};{2!r}").replace(".", ","),
+    }.items():
+        for coding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"):
+            (tmp_path / name).write_bytes(text.encode(coding))
+            found = cloud_file.load(tmp_path / name)
+            assert np.allclose(found.points, points, atol=1e-9), (name, coding)
+    # A count that is another is no count.
+    (tmp_path / "several.pts").write_text(f"100\n{lines(colours, 0, 100)}150\n{lines(colours)}")
+    with pytest.raises(InputError, match="line 102 has no numbers in columns 1, 2, 3: 150"):
+        cloud_file.load(tmp_path / "several.pts")
+    (tmp_path / "short.csv").write_text("x,y,z\n" + lines("{0!r},{1!r},{2!r}") + "1,,2\n")
+    with pytest.raises(InputError, match="line 302 has no numbers in columns 1, 2, 3: 1,,2"):
+        cloud_file.load(tmp_path / "short.csv")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [

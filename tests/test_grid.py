@@ -284,13 +284,13 @@ def test_axes_of_an_nrrd_in_another_order(tmp_path: Path) -> None:
     ("name", "content", "said"),
     [
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n"
-         b"data file: /etc/passwd\n\n", "another file"),
+         b"data file: gone.raw\n\n", "its data are in gone.raw, which is not there"),
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 9999 9999 9999\n"
          b"encoding: gzip\n\nabc", "more than"),
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\nabc",
          "readable"),
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: text\n"
-         b"space directions: (1,1,0) (0,1,0) (0,0,1)\n\n" + b"1 " * 64, "axes"),
+         b"space directions: (1,1,0) (1,1,0) (0,0,1)\n\n" + b"1 " * 64, "axes lie in one plane"),
         ("a.vti", b"<VTKFile type='PolyData'/>", "no ImageData"),
         ("a.vti", b"<!DOCTYPE a [<!ENTITY b 'c'>]><VTKFile/>", "entities"),
         ("a.vti", b"<VTKFile type='ImageData'><ImageData><Piece/></ImageData></VTKFile>",

@@ -64,6 +64,29 @@ def test_obj_as_others_write_it(tmp_path: Path) -> None:
         load(path)
 
 
+def test_obj_with_groups_lines_points_and_indices_from_the_end(tmp_path: Path) -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    plain = write_obj(tmp_path / "plain.obj", vertices, triangles)
+    lines = ["mtllib a.mtl", "o ball", "v 9 9 9", "v 8 9 9", "p 1", "l 1 2", "l -1 -2", "p -1"]
+    seen: dict[int, int] = {}
+    for number, corners in enumerate(triangles):
+        for corner in corners:
+            if corner not in seen:
+                seen[int(corner)] = len(seen) + 2
+                lines += ["v {!r} {!r} {!r} 0.5 0.5 0.5".format(*vertices[corner].tolist())]
+        if number % 50 == 0:
+            lines += [f"g part{number} all", f"usemtl m{number}", "s off", "vt 0 0", "vn 0 0 1"]
+        back = [seen[int(corner)] - len(seen) - 2 for corner in corners]
+        lines += ["f " + " ".join(f"{index}/-1/-1" for index in back), "l -1 -2 -3"]
+    (tmp_path / "grouped.obj").write_text("\n".join(lines) + "\n")
+    mesh, other = (load(path).polygons for path in (plain, tmp_path / "grouped.obj"))
+    assert other.vertex_count == mesh.vertex_count == 162
+    assert np.array_equal(mesh.vertices[mesh.face_vertices], other.vertices[other.face_vertices])
+    (tmp_path / "beyond.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 1\nf -1 -2 -4\n")
+    with pytest.raises(InputError, match="a face refers to a vertex that does not exist"):
+        load(tmp_path / "beyond.obj")
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_concave_faces_are_triangulated(turned: bool, tmp_path: Path) -> None:
     # The ends of a U, and of a comb whose middle sees only some of its teeth.
@@ -93,9 +116,9 @@ def test_concave_faces_are_triangulated(turned: bool, tmp_path: Path) -> None:
 
 
 def test_packed_files_are_to_be_unpacked(tmp_path: Path) -> None:
-    (tmp_path / "ball.stl.gz").write_bytes(b"\x1f\x8b")
+    (tmp_path / "ball.stl.xz").write_bytes(b"\xfd7zXZ\0")
     with pytest.raises(InputError, match="is compressed; unpack it"):
-        MeshSource(tmp_path / "ball.stl.gz")
+        MeshSource(tmp_path / "ball.stl.xz")
 
 
 def test_formats_of_trimesh_are_read(tmp_path: Path) -> None:
@@ -158,7 +181,5 @@ def test_compressed_geometry_is_named(tmp_path: Path) -> None:
         head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text)).to_bytes(4, "little")
         (tmp_path / "a.glb").write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text)
         for ending in ("gltf", "glb"):
-            with pytest.raises(
-                InputError, match=f"compressed \\({name}\\), which vorolight cannot read"
-            ):
+            with pytest.raises(InputError, match=f"compressed \\({name}\\), which is not read"):
                 MeshSource(tmp_path / f"a.{ending}")

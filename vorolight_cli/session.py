@@ -24,7 +24,7 @@ Input = Annotated[
     typer.Argument(
         help="The shape: a mesh, a point cloud, views (a folder or transforms.json), a built-in "
         "field (heart, sphere, torus, genus-two, gyroid, cube-cavity), a formula, or samples on a "
-        "grid (.npy, .npz, .nrrd, .vti).",
+        "grid (.npy, .npz, .nrrd, .mha, .nii, .vti). Files may be packed (.gz).",
         autocompletion=completion.input_field,
     ),
 ]

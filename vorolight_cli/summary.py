@@ -44,7 +44,9 @@ def of(manifest: dict[str, Any], console: Console) -> str:
     seconds = f"{manifest['volatile']['wall_seconds']:.1f} s"
     text = {
         "classify": lambda: (
-            f"{metrics['interior_voxels']} interior voxels of edge {metrics['spacing']:.4g}"
+            f"{metrics['interior_voxels']} interior voxels of edge {metrics['spacing']:.4g}; up to "
+            f"the surface about {metrics['effort']['triangles']:,} triangles and "
+            f"{metrics['effort']['cpu_seconds']:.0f} CPU seconds"
         ),
         "init": lambda: f"{metrics['generators']} generators, {_surface(metrics['topology'])}",
         "sphere-train": lambda: (

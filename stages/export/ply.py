@@ -220,10 +220,9 @@ def decode_points(raw: bytes) -> tuple[Floats, Floats | None]:
     return points, _columns(raw, kind, elements[0], at, ("nx", "ny", "nz"))
 
 
-def may_have_faces(path: Path) -> bool:
-    """Whether the header of a PLY promises faces, or strips of them, or is not to be read."""
-    with Path(path).open("rb") as file:
-        start = file.read(65536)
+def may_have_faces(start: bytes) -> bool:
+    """Whether the header at the ``start`` of a PLY promises faces, or strips of them, or is not to
+    be read."""
     try:
         return any(name != "vertex" and count for name, count, _ in _header(start)[1])
     except ValueError:

@@ -37,6 +37,8 @@ class Problem(Protocol[State]):
     """What they are measured in, ``(U,)``."""
     count: int
     """What the recorded losses are divided by."""
+    threads: int
+    """On which steps are computed."""
 
     def prepare(self, state: State, factor: float) -> None:
         """Fix what is near or facing, and multiply what conformity needs by ``factor``."""
@@ -92,7 +94,8 @@ def descend(
         if not np.isfinite(before).all():
             raise NumericalFailure("sphere-train: a loss is not finite; lower the weights")
         losses.append([float(residuals[key] @ residuals[key]) / problem.count for key in TERMS])
-        system = GaussNewton(problem.blocks(state, residuals), problem.free, problem.units)
+        blocks = problem.blocks(state, residuals)
+        system = GaussNewton(blocks, problem.free, problem.units, problem.threads)
         step = system.step(problem.spread(damping))
         bound = before + WORSE[0] + np.minimum(WORSE[1] * before, WORSE[2])
         share = np.ones(len(before))

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.polygons import Floats, Ints
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    Product = Callable[[Tensor], Tensor]
+from .products import Product, product
 
 TOLERANCE, ITERATIONS = 1e-2, 80
 """Of the conjugate gradients; a step need not be exact."""
@@ -48,6 +44,7 @@ class GaussNewton:
     blocks: Sequence[Block]
     free: NDArray[np.bool_]
     units: Floats | None = None
+    threads: int = 1
 
     @cached_property
     def _system(self) -> tuple[Any, Any, Floats, Floats]:
@@ -79,8 +76,6 @@ class GaussNewton:
     def step(self, damping: float | Floats) -> Floats:
         """The step ``(U,)`` with ``damping``, one for all or ``(U,)``, in units of the mean square
         of a column, where those above STEEP medians count as that much."""
-        import torch
-
         jacobian, transpose, gradient, squares = self._system
         result = np.zeros(len(self.free))
         if not gradient.any():
@@ -91,48 +86,30 @@ class GaussNewton:
         # A few that are steep may not hold all others back.
         typical = np.median(square[square > 0])
         shift = each * np.minimum(square, STEEP * typical).mean() / units**2
-        first, second, damped = _product(jacobian), _product(transpose), torch.from_numpy(shift)
-        result[self.free] = conjugate_gradients(
-            lambda x: second(first(x)) + damped * x,
-            torch.from_numpy(-gradient),
-            torch.from_numpy(1 / (squares + shift)),
-        ).numpy()
+        with ThreadPoolExecutor(self.threads) as pool:
+            first, second = (product(m, pool, self.threads) for m in (jacobian, transpose))
+            result[self.free] = conjugate_gradients(
+                lambda x: second(first(x)) + shift * x, -gradient, 1 / (squares + shift)
+            )
         return result
 
 
-def conjugate_gradients(product: Product, right: Tensor, inverse: Tensor) -> Tensor:
-    """``x (U,)`` with ``product(x)`` about ``right``, preconditioned by a diagonal's ``inverse``.
-
-    In torch throughout: where its threads take turns with those of numpy's library, as they would
-    with scipy's, each waits for the other's to stop spinning.
-    """
-    x, rest = right.new_zeros(right.shape), right.clone()
+def conjugate_gradients(product: Product, right: Floats, inverse: Floats) -> Floats:
+    """``x (U,)`` with ``product(x)`` about ``right``; a diagonal's ``inverse`` preconditions it."""
+    x, rest = np.zeros_like(right), right.copy()
     # Measured as the preconditioner does: else steep unknowns would hide all others.
-    close = TOLERANCE**2 * right.dot(inverse * right)
-    direction, before = right.new_zeros(right.shape), right.new_ones(())
+    close = TOLERANCE**2 * (right @ (inverse * right))
+    direction, before = np.zeros_like(right), 1.0
     for _ in range(ITERATIONS):
         scaled = inverse * rest
-        now = rest.dot(scaled)
+        now = float(rest @ scaled)
         if now <= close:
             break
-        direction = scaled + (now / before) * direction
+        direction *= now / before
+        direction += scaled
         before = now
         image = product(direction)
-        length = now / direction.dot(image)
+        length = now / float(direction @ image)
         x += length * direction
         rest -= length * image
     return x
-
-
-def _product(matrix: Any) -> Product:
-    """The product of a sparse ``matrix`` and a vector: MKL's, on all cores, where torch comes with
-    it."""
-    import torch
-
-    if not torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
-        return lambda x: torch.from_numpy(np.asarray(matrix @ x.numpy()))
-    rows, columns, values = map(torch.from_numpy, (matrix.indptr, matrix.indices, matrix.data))
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse")
-        inner = torch.sparse_csr_tensor(rows, columns, values, matrix.shape, check_invariants=False)
-    return lambda x: inner @ x

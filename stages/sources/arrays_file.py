@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 import zipfile
 import zlib
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from . import packed
 
 LARGEST = 512**3
 """Numbers in a file."""
@@ -34,10 +36,12 @@ def _unwarned() -> Iterator[None]:
 
 
 def single_array(path: Path) -> NDArray[Any]:
-    """The array of a .npy file, not yet read. Raises InputError."""
+    """The array of a .npy file, not yet read unless it is packed. Raises InputError."""
     try:
         with _unwarned():
-            values: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+            # What is packed has no place in a file that could be mapped.
+            mode: Any = None if packed.is_packed(path) else "r"
+            values: NDArray[Any] = np.load(_opened(path), mmap_mode=mode, allow_pickle=False)
     except DAMAGED as error:
         raise _unreadable(path, error) from error
     _check(path, values)
@@ -47,11 +51,11 @@ def single_array(path: Path) -> NDArray[Any]:
 def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """The arrays of a .npz file. Raises InputError."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(_opened(path)) as archive:
             size = sum(item.file_size for item in archive.infolist())
         if size > 8 * LARGEST + 100_000:
             raise ValueError(f"{size / 1e9:.1f} GB of numbers are too many; reduce them")
-        with _unwarned(), np.load(path, allow_pickle=False) as found:
+        with _unwarned(), np.load(_opened(path), allow_pickle=False) as found:
             arrays = {name: found[name] for name in found.files}
     except DAMAGED as error:
         raise _unreadable(path, error) from error
@@ -63,9 +67,9 @@ def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def names(path: Path) -> list[str]:
     """Of the arrays in a .npz file, without reading them; none of a file that is damaged."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(_opened(path)) as archive:
             return [Path(name).stem for name in archive.namelist()]
-    except (OSError, ValueError, zipfile.BadZipFile):
+    except (OSError, ValueError, InputError, zipfile.BadZipFile):
         return []
 
 
@@ -75,6 +79,10 @@ def dimensions(path: Path) -> int:
         return single_array(path).ndim
     except InputError:
         return 0
+
+
+def _opened(path: Path) -> Path | io.BytesIO:
+    return io.BytesIO(packed.content(path)) if packed.is_packed(path) else path
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:

@@ -1,7 +1,9 @@
-"""Reading point clouds: PLY, PCD, text (XYZ, PTS, ASC, CSV, TXT), NPY, NPZ and Expe's PTS."""
+"""Reading point clouds, by the ending of their file: text, PLY, NPY, NPZ, Expe's PTS, and the
+formats that are modules of their own."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +14,18 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..export import ply
 from ..surface.polygons import Floats
-from . import text_table
+from . import e57, las, packed, pcd, ptx, text_table
 from .arrays_file import named_arrays, single_array
 from .text_table import Table
 
 TEXT = (".xyz", ".xyzn", ".pts", ".asc", ".csv", ".txt")
+READERS: dict[str, Callable[[Path], Table]] = {
+    ".pcd": pcd.read,
+    ".ptx": ptx.read,
+    **dict.fromkeys(las.ENDINGS, las.read),
+    ".e57": e57.read,
+}
+"""Of the formats that hold nothing but points; text may be more than one thing."""
 FEWEST, MOST = 100, 2_000_000
 """Points that a surface can be made of; of more, so many are taken."""
 FLAT = 1e-5
@@ -84,9 +93,9 @@ def load(path: Path, columns: str | None = None) -> LoadedCloud:
 
 
 def _read(path: Path, columns: str | None) -> Table:
-    suffix = path.suffix.lower()
+    suffix = packed.ending(path)
     if suffix in TEXT:
-        raw = path.read_bytes()
+        raw = packed.content(path)
         return Table(*_expe(raw)) if raw.startswith(EXPE) else text_table.read(raw, columns)
     if columns is not None:
         raise ValueError(f"--columns applies to text files only ({', '.join(TEXT)})")
@@ -99,9 +108,9 @@ def _read(path: Path, columns: str | None) -> Table:
         return _split(_numbers(arrays["points"]), arrays.get("normals"))
     if suffix == ".npy":
         return _split(_numbers(single_array(path)), None)
-    raw = path.read_bytes()
-    if suffix == ".pcd":
-        return _pcd(raw)
+    if suffix in READERS:
+        return READERS[suffix](path)
+    raw = packed.content(path)
     if suffix == ".ply":
         return Table(*ply.decode_points(raw))
     if raw.startswith(EXPE):
@@ -128,49 +137,6 @@ def _split(table: Floats, normals: Any) -> Table:
     elif table.shape[1] == 6 and text_table.are_normals(table[:, 3:]):
         normals = table[:, 3:]
     return Table(table[:, :3], normals)
-
-
-def _pcd(raw: bytes) -> Table:
-    """A PCD of the Point Cloud Library, as text or binary; what is packed is not read."""
-    fields: dict[str, list[str]] = {}
-    at = 0
-    while "DATA" not in fields:
-        end = raw.index(b"\n", at)
-        words = raw[at:end].decode("ascii", errors="replace").split()
-        at = end + 1
-        if words and not words[0].startswith("#"):
-            fields[words[0].upper()] = words[1:]
-    names = [name.lower() for name in fields["FIELDS"]]
-    if fields["DATA"][:1] == ["ascii"]:
-        return text_table.read(" ".join(names).encode() + b"\n" + raw[at:])
-    if fields["DATA"][:1] != ["binary"]:
-        raise ValueError(f"its data are {' '.join(fields['DATA'])}; save them as binary or ascii")
-    counts = [int(count) for count in fields.get("COUNT", ["1"] * len(names))]
-    if not set(fields["SIZE"]) <= set("1248"):
-        raise ValueError(f"its fields have sizes {' '.join(fields['SIZE'])}, not 1, 2, 4 or 8")
-    kinds = {"F": "f", "I": "i", "U": "u"}
-    if ("F", "1") in zip(fields["TYPE"], fields["SIZE"], strict=True):
-        raise ValueError("it has floating-point numbers of one byte")
-    layout = np.dtype(
-        [
-            (f"{name} {k}", f"<{kinds[kind]}{int(size)}", (count,))
-            for k, (name, kind, size, count) in enumerate(
-                zip(names, fields["TYPE"], fields["SIZE"], counts, strict=True)
-            )
-        ]
-    )
-    rows = np.frombuffer(raw, layout, int(fields["POINTS"][0]), at)
-
-    def vectors(wanted: tuple[str, ...]) -> Floats | None:
-        if not set(wanted) <= set(names):
-            return None
-        columns = [rows[f"{name} {names.index(name)}"][:, 0] for name in wanted]
-        return np.stack(columns, axis=1).astype(np.float64)
-
-    points = vectors(("x", "y", "z"))
-    if points is None:
-        raise ValueError("it has no fields x, y and z")
-    return Table(points, vectors(("normal_x", "normal_y", "normal_z")))
 
 
 def _expe(raw: bytes) -> tuple[Floats, Floats | None]:

@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..surface import geometry
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, edges, split_pinched, topology
+from . import packed
 from .caps import capped
 from .mesh_file import load
 from .parity import RayParity
@@ -235,7 +236,7 @@ class MeshSource(TriangleSource):
     kind = "mesh"
 
     def __init__(self, path: Path) -> None:
-        self.path, self.name = path, path.stem
+        self.path, self.name = path, packed.stem(path)
         self.loaded = load(path)
         self.repair = False
         self.thickness = 0.0

@@ -1,7 +1,8 @@
-"""Reading meshes: OBJ and PLY with their polygons kept, everything else through trimesh."""
+"""Reading meshes: OBJ, PLY and 3MF with their polygons kept, everything else through trimesh."""
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,15 +11,8 @@ import numpy as np
 from ..errors import InputError
 from ..export import ply, threemf
 from ..surface.polygons import Floats, PolygonMesh
+from . import gltf, packed
 from .concave import without_concave
-
-COMPRESSIONS = {
-    b"KHR_draco_mesh_compression": "Draco",
-    b"EXT_meshopt_compression": "meshopt",
-}
-"""Extensions of glTF, by how they are called in a file."""
-LARGEST_HEADER = 64_000_000
-"""Bytes of a glTF file that are searched for them."""
 
 
 @dataclass(frozen=True)
@@ -73,45 +67,31 @@ def vertices_of(path: Path) -> Floats:
 
 
 def _read(path: Path) -> tuple[PolygonMesh, bool]:
-    suffix = path.suffix.lower()
+    suffix = packed.ending(path)
     try:
         if suffix == ".obj":
-            return _read_obj(path), True
+            return _obj(packed.content(path)), True
         if suffix == ".ply":
-            mesh = ply.read(path)
+            mesh = ply.decode(packed.content(path))
             if mesh is not None:
                 return mesh, True
         if suffix == ".3mf":
-            return threemf.decode(path.read_bytes()), True
-        if suffix in (".glb", ".gltf"):
-            _without_compression(path)
-    except (ValueError, KeyError, IndexError, OverflowError) as error:
+            return threemf.decode(packed.content(path)), True
+        if suffix in gltf.ENDINGS:
+            refusal = gltf.refusal(packed.content(path))
+            if refusal:
+                raise InputError(f"{path}: {refusal}")
+    except (ValueError, KeyError, IndexError, OverflowError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a readable {suffix[1:].upper()} file ({error})") from error
     return _read_trimesh(path), False
 
 
-def _without_compression(path: Path) -> None:
-    """Raise InputError where the geometry of a glTF file is compressed, which is not read."""
-    with path.open("rb") as file:
-        head = file.read(20)
-        size = int.from_bytes(head[12:16], "little") if head[:4] == b"glTF" else LARGEST_HEADER
-        if head[:4] != b"glTF":
-            file.seek(0)
-        text = file.read(min(size, LARGEST_HEADER))
-    for key, name in COMPRESSIONS.items():
-        if key in text:
-            raise InputError(
-                f"{path}: its geometry is compressed ({name}), which vorolight cannot "
-                "read; export it without compression"
-            )
-
-
-def _read_obj(path: Path) -> PolygonMesh:
+def _obj(raw: bytes) -> PolygonMesh:
     """Vertices and faces of a Wavefront OBJ; negative indices count from the end so far."""
     vertices: list[bytes] = []
     corners: list[int] = []
     offsets = [0]
-    content = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    content = raw.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     for number, line in enumerate(content.splitlines(), start=1):
         words = line.partition(b"#")[0].split()
         if not words:
@@ -140,16 +120,30 @@ def _read_trimesh(path: Path) -> PolygonMesh:
     import trimesh
 
     known = trimesh.available_formats()
-    if path.suffix.lower().lstrip(".") not in known:
-        if path.suffix.lower() in (".gz", ".zip", ".xz", ".bz2", ".7z"):
+    suffix = packed.ending(path)
+    if suffix.lstrip(".") not in known:
+        if packed.is_packed(path) and not suffix:
+            raise InputError(
+                f"{path}: its name does not say what is packed in it; call it ball.ply.gz if that "
+                "is a PLY"
+            )
+        if suffix in (".tar", ".tgz", ".zip", ".xz", ".bz2", ".zst", ".7z"):
             raise InputError(f"{path}: is compressed; unpack it, and give the file inside")
         raise InputError(
-            f"{path}: files of kind '{path.suffix}' cannot be read; convert a mesh to OBJ, PLY, "
-            "STL or 3MF, points to PLY, PCD or CSV, samples on a grid to NRRD, VTI or NPY"
+            f"{path}: files of kind '{suffix}' cannot be read; convert a mesh to OBJ, PLY, STL or "
+            "3MF, points to PLY, LAS or CSV, samples on a grid to NRRD, NIfTI, VTI or NPY"
         )
     try:
-        scene = trimesh.load_scene(path, process=False)
+        if suffix in gltf.ENDINGS or packed.is_packed(path):
+            file, kind = io.BytesIO(packed.content(path)), suffix.lstrip(".")
+            scene = trimesh.load_scene(
+                file, file_type=kind, resolver=gltf.resolver(path), process=False
+            )
+        else:
+            scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()
+    except InputError:
+        raise
     # trimesh's loaders raise whatever the damaged bytes lead them to.
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..surface.polygons import Floats, PolygonMesh
 from ..surface.topology import topology
+from . import packed
 from .cloud_file import MOST, LoadedCloud, load
 from .mesh import TriangleSource
 from .reconstruction import AGREE, Reconstruction, reconstruct
@@ -26,7 +27,7 @@ class PointSource(TriangleSource):
     kind = "points"
 
     def __init__(self, path: Path) -> None:
-        self.path, self.name = path, path.stem
+        self.path, self.name = path, packed.stem(path)
         self.columns: str | None = None
         self.given_noise: float | None = None
         self.threads = 1

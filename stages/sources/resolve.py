@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..artifacts import fingerprint
 from ..errors import InputError
+from . import packed
 
 if TYPE_CHECKING:
     from .images import ViewSource
@@ -19,11 +20,13 @@ if TYPE_CHECKING:
 
 KINDS = ("mesh", "points", "field", "views")
 Y_UP = (".obj", ".ply", ".off", ".glb", ".gltf")
+PLY_HEADER = 65536
+"""Bytes of a PLY that tell whether it has faces."""
 
 
 def up_axis(path: str | None) -> str:
     """The axis that points up in an input: y for formats that mostly have it so, else z."""
-    return "y" if path is not None and Path(path).suffix.lower() in Y_UP else "z"
+    return "y" if path is not None and packed.ending(Path(path)) in Y_UP else "z"
 
 
 @dataclass(frozen=True)
@@ -80,21 +83,23 @@ def kind_of(path: Path) -> str:
     it."""
     from ..export.ply import may_have_faces
     from .arrays_file import dimensions, names
+    from .cloud_file import READERS as CLOUDS
     from .cloud_file import TEXT
+    from .grid_file import READERS as GRIDS
     from .view_files import is_view_set
 
     if is_view_set(path):
         return "views"
-    suffix = path.suffix.lower()
-    if suffix in (*TEXT, ".pcd"):
+    suffix = packed.ending(path)
+    if suffix in TEXT or suffix in CLOUDS:
         return "points"
-    if suffix in (".nrrd", ".vti"):
+    if suffix in GRIDS:
         return "field"
     if suffix == ".npz":
         return "points" if "points" in names(path) else "field"
     if suffix == ".npy":
         return "points" if dimensions(path) == 2 else "field"
-    if suffix == ".ply" and not may_have_faces(path):
+    if suffix == ".ply" and not may_have_faces(packed.beginning(path, PLY_HEADER)):
         return "points"
     return "mesh"
 
@@ -135,15 +140,32 @@ def identify(text: str, kind: str | None = None) -> Identity:
 
 def identify_path(kind: str, path: Path) -> Identity:
     """The input of that ``kind`` at ``path``, as it is on disk now. Raises InputError."""
-    if kind != "views":
-        return Identity(kind, path.stem, path, path.stat().st_size, fingerprint.of_file(path))
     from .view_files import name_of, read
 
-    # A change of any picture is a change of the input.
-    files = read(path).all_files()
+    if kind != "views":
+        name, files = packed.stem(path), [path, *_files_beside(path)]
+    else:
+        name, files = name_of(path), read(path).all_files()
+    if kind != "views" and len(files) == 1:
+        return Identity(kind, name, path, path.stat().st_size, fingerprint.of_file(path))
+    # A change of any picture, or of data beside their header, is a change of the input.
     parts = [[file.name, fingerprint.of_file(file)] for file in files]
     size = sum(file.stat().st_size for file in files)
-    return Identity(kind, name_of(path), path, size, fingerprint.of_json(parts))
+    return Identity(kind, name, path, size, fingerprint.of_json(parts))
+
+
+def _files_beside(path: Path) -> list[Path]:
+    """Those that the header in ``path`` says hold the rest of it, if they are there.
+
+    Raises InputError for a damaged gzip file.
+    """
+    from . import gltf, grid_file
+
+    of = gltf if packed.ending(path) in gltf.ENDINGS else grid_file
+    try:
+        return [file for file in of.files_beside(path) if file.is_file()]
+    except OSError:  # the digest of the file says so
+        return []
 
 
 def identify_field(text: str) -> Identity:

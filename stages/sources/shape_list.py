@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
+from . import packed
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,6 @@ def _recognised(text: str) -> tuple[str, str]:
     path = Path(text)
     if path.is_file() or (path.is_dir() and is_view_set(path)):
         kind = kind_of(path)
-        return kind, name_of(path) if kind == "views" else path.stem
+        return kind, name_of(path) if kind == "views" else packed.stem(path)
     found = identify(text)
     return found.kind, found.stem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def read(raw: bytes, columns: str | None = None) -> Table:
 
     Raises ValueError with what is wrong, in which line.
     """
-    lines = _text(raw).splitlines()
+    lines = text_of(raw).splitlines()
     kept: list[tuple[int, str]] = []
     heads: list[str] = []
     for number, line in enumerate(lines, 1):
@@ -91,6 +91,7 @@ def read(raw: bytes, columns: str | None = None) -> Table:
             bare = bare.partition(mark)[0].rstrip()
         if bare:
             kept.append((number, bare))
+    kept = _without_counts(kept)
     begin, layout = _layout([line for _, line in kept], heads)
     rows = kept[begin:]
     found, note = _chosen(layout, columns), ""
@@ -111,7 +112,7 @@ def are_normals(vectors: Floats) -> bool:
     return len(length) > 0 and bool((np.abs(length - 1) < UNIT).mean() > UNIT_SHARE)
 
 
-def _text(raw: bytes) -> str:
+def text_of(raw: bytes) -> str:
     for mark, coding in (
         (b"\xff\xfe", "utf-16"),
         (b"\xfe\xff", "utf-16"),
@@ -120,8 +121,21 @@ def _text(raw: bytes) -> str:
         if raw.startswith(mark):
             return raw.decode(coding, errors="replace")
     if b"\0" in raw:
+        # Of ASCII in UTF-16 every second byte is zero.
+        for first, coding in ((1, "utf-16-le"), (0, "utf-16-be")):
+            if not any(raw[first::2]):
+                return raw.decode(coding, errors="replace")
         raise ValueError("it is not a text file")
     return raw.decode("utf-8", errors="replace")
+
+
+def _without_counts(rows: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Without the lines of a PTS between its clouds that say how many points the next one has."""
+    counts = [k for k, (_, line) in enumerate(rows) if line.isascii() and line.isdigit()]
+    if all(int(rows[k][1]) == end - k - 1 for k, end in pairwise([*counts, len(rows)])):
+        left_out = set(counts)
+        return [row for k, row in enumerate(rows) if k not in left_out]
+    return rows
 
 
 def _layout(lines: list[str], heads: list[str]) -> tuple[int, _Layout]:

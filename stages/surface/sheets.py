@@ -33,8 +33,8 @@ def part(mesh: Sized, where: NDArray[np.bool_]) -> None:
     wanted = APART * mesh.length[row]
     for _ in range(ROUNDS):
         normal = vertex_normals(mesh.vertices, mesh.triangles)
-        found = searched(mesh.vertices, mesh.triangles)
-        through, gap = across(*found, found[1][row], normal[row])[0]
+        tree, facets = searched(mesh.vertices, mesh.triangles)
+        through, gap = across(tree, facets, mesh.vertices[row], normal[row])[0]
         missing = [np.maximum(0.0, wanted - distance) for distance in (through, gap)]
         if not np.any(missing):
             break
