@@ -23,7 +23,7 @@ BAD = {
     "points.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\n", "no surface"),
     "word.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf one two three\n", "line 4"),
     "short.obj": (b"v 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "fewer than three"),
-    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "not there"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "does not exist"),
     "nan.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "not finite"),
     "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "on a line"),
     "text.ply": (b"hello", "no PLY header"),
