@@ -77,6 +77,19 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
             ("K",), "i", "columns of a text that hold the points, from 1 on", optional=True
         ),
         "source/level": Layout((), "f", "of samples: what is above it is inside", optional=True),
+        "source/inverted": Layout((), "b", "of views: the object is dark in masks", optional=True),
+        "source/openings": Layout(
+            (), "b", "of views: enclosed areas of the background are background", optional=True
+        ),
+        "source/background": Layout(
+            (3,), "i", "of views: colour of the background", optional=True, least=0, most=255
+        ),
+        "source/scale": Layout(
+            ("W",), "f", "of views: what a picture is scaled by", optional=True, least=TINY
+        ),
+        "source/shift": Layout(
+            ("W", 2), "f", "of views: right and down, as a share of the width", optional=True
+        ),
         "source/agreement": Layout(
             ("W",), "f", "of views: intersection over union of mask and surface", optional=True
         ),

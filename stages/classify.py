@@ -43,6 +43,15 @@ class Params(contract.Params):
     are inside, and of labels those that are not zero."""
     mask_votes: Annotated[int, Range(0, 100)] = 0
     """How many masks of views may be wrong about a place that is inside."""
+    background: str | None = None
+    """Background colour of opaque views without masks: auto, white, black, or red, green and blue,
+    as in 0,177,64. It is removed from the border of each picture inward. Default: auto, the colour
+    of most of the border."""
+    enclosed: Literal["object", "background"] = "object"
+    """What areas of the background colour inside the object are in such views: parts of the object,
+    or background that is seen through openings."""
+    invert_masks: bool = False
+    """Invert masks or alpha channels of views in which the object is dark."""
     repair: bool = False
     """Repair a mesh with pymeshlab first: remove doubled and non-manifold parts, turn faces and
     close holes."""
@@ -93,6 +102,11 @@ def run(context: Context) -> Outcome:
         _fit(cast("ViewSource", source), context)
     elif params.mask_votes:
         raise UsageError(f"--mask-votes: needs views, but the input is of kind {source.kind}")
+    elif params.invert_masks:
+        raise UsageError(f"--invert-masks: needs views, but the input is of kind {source.kind}")
+    elif params.background is not None or params.enclosed != "object":
+        name = "enclosed" if params.background is None else "background"
+        raise UsageError(f"--{name}: needs views, but the input is of kind {source.kind}")
     if isinstance(source, MeshSource):
         source.repair, source.reach = params.repair, params.weld
         source.hollow = params.shells == "alternate"
@@ -163,10 +177,10 @@ def _check_effort(needed: Effort, params: Params, name: str) -> None:
 
 def _fit(source: ViewSource, context: Context) -> None:
     """Make the surface that stands for views, with its own progress bar."""
-    from .sources.view_fit import rounds
+    from .sources.view_fit import levels
 
-    source.votes, source.threads = context.params.mask_votes, context.threads
-    context.progress.start("fit to the views", rounds())
+    rounds = sum(level.rounds for level in levels(_told(source, context).views))
+    context.progress.start("fit to the views", rounds)
     done = 0
 
     def tick() -> None:
@@ -179,6 +193,19 @@ def _fit(source: ViewSource, context: Context) -> None:
     context.progress.finish()
 
 
+def _told(source: ViewSource, context: Context) -> ViewSource:
+    """Views with the options on how to read them. Raises UsageError for no colour."""
+    from .sources.silhouettes import Reading, parse_background
+
+    params = context.params
+    source.votes, source.threads = params.mask_votes, context.threads
+    source.reading = Reading(
+        parse_background(params.background or "auto"), params.enclosed == "background",
+        params.invert_masks,
+    )  # fmt: skip
+    return source
+
+
 def _memory(context: Context) -> float:
     from .sources.points import PointSource
 
@@ -188,7 +215,8 @@ def _memory(context: Context) -> float:
         source.columns = context.params.columns
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
     if source.kind == "views":
-        return voxels + 450.0 + 2e-5 * cast("ViewSource", source).views.masks.size
+        seen = _told(cast("ViewSource", source), context)
+        return voxels + 450.0 + 2e-5 * seen.views.masks.size
     return voxels
 
 

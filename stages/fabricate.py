@@ -32,7 +32,7 @@ def run(context: Context) -> Outcome:
     """
     from .fabrication import lattice, products, slicer
     from .fabrication.even_cells import even_cells
-    from .sources.resolve import up_axis
+    from .sources.resolve import recorded_up
     from .surface.dual import dual
     from .surface.polygons import PolygonMesh
 
@@ -44,7 +44,7 @@ def run(context: Context) -> Outcome:
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
     )
     recorded = context.folder.manifest("classify") or {}
-    up = params.up if params.up != "auto" else up_axis(recorded["inputs"][0]["path"])
+    up = params.up if params.up != "auto" else recorded_up(recorded)
     volume = context.arrays("volume") if params.needs_volume else None
     context.progress.start("fabricate", 4)
     asked = _request(params, up)

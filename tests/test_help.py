@@ -94,7 +94,7 @@ def bash(home: Path, script: str) -> str:
 WORDS = [
     ("vorolight dia", []),
     ("vorolight sph", ["sphere-train"]),
-    ("vorolight init --back", ["--backend"]),
+    ("vorolight init --back", ["--backend", "--background"]),
     ("vorolight init --backend ", ["scipy", "shull"]),
     ("vorolight sphere-train --faces ", ["polygon", "triangle"]),
     ("vorolight evaluate --of s", ["sphere-train"]),

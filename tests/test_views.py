@@ -301,11 +301,22 @@ def spoil_empty(folder: Path) -> None:
 
 
 def spoil_full(folder: Path) -> None:
-    (folder / "images" / "003.png").write_bytes(image_file.png(np.ones((96, 96, 4))))
+    (folder / "images" / "003_mask.png").write_bytes(image_file.png(np.ones((96, 96))))
+
+
+def without_normals(folder: Path) -> None:
+    edit(folder, lambda content: [frame.pop("normal_file_path") for frame in content["frames"]])
 
 
 def spoil_alpha(folder: Path) -> None:
-    (folder / "images" / "003.png").write_bytes(image_file.png(np.ones((96, 96, 3))))
+    without_normals(folder)
+    speckled = np.random.default_rng(0).random((96, 96, 3))
+    (folder / "images" / "003.png").write_bytes(image_file.png(speckled))
+
+
+def spoil_blank(folder: Path) -> None:
+    without_normals(folder)
+    (folder / "images" / "003.png").write_bytes(image_file.png(np.ones((96, 96, 4))))
 
 
 def spoil_few(folder: Path) -> None:
@@ -343,8 +354,9 @@ def spoil_normal(folder: Path) -> None:
         (spoil_camera, "the camera of 003.png is not a rigid motion"),
         (spoil_mirror, "the camera of 003.png is not a rigid motion"),
         (spoil_empty, "003.png: the mask is empty"),
-        (spoil_full, "003.png: the mask covers the whole picture"),
-        (spoil_alpha, "003.png: has no alpha channel"),
+        (spoil_full, "003_mask.png: the mask covers the whole picture"),
+        (spoil_alpha, "003.png: has no alpha channel, no mask beside it, and no background of one"),
+        (spoil_blank, "003.png: has no alpha channel, no mask beside it, and one colour"),
         (spoil_few, "holds 1 views"),
         (spoil_lens, "distorts \\(k1\\)"),
         (spoil_model, "camera model FISHEYE"),

@@ -74,8 +74,8 @@ def from_image(
         Path | None,
         typer.Option(
             help="A folder with six views of the object that another program made: front.png, "
-            "right.png, back.png, left.png, top.png and bottom.png. Normal maps, such as "
-            "front_normal.png, are optional.",
+            "right.png, back.png, left.png, top.png and bottom.png, or six numbered pictures. "
+            "Normal maps, such as front_normal.png, are optional.",
             show_default=False,
         ),
     ] = None,
@@ -87,6 +87,31 @@ def from_image(
         ),
     ] = None,
     allow_code: AllowCode = False,
+    order: Annotated[
+        str | None,
+        typer.Option(
+            help="Which views numbered pictures are. Default: front,right,back,left,top,bottom.",
+            show_default=False,
+        ),
+    ] = None,
+    background: Annotated[
+        str,
+        typer.Option(
+            help="Of opaque pictures without masks: the colour that is taken out from their edges "
+            "on: auto, white, black, or red, green and blue as in 0,177,64."
+        ),
+    ] = "auto",
+    enclosed: Annotated[
+        str,
+        typer.Option(
+            help="Areas of the background's colour within the object are parts of it, or "
+            "background. [object|background]",
+            autocompletion=completion.choices(lambda: ("object", "background")),
+        ),
+    ] = "object",
+    invert_masks: Annotated[
+        bool, typer.Option("--invert-masks", help="Masks or alpha have the object dark.")
+    ] = False,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="The folder to write. Default: PHOTO-views."),
@@ -102,20 +127,27 @@ def from_image(
     Example: vorolight from-image cow.jpg --six-views cow-made && vorolight run cow-views -n 40
     """
     from vorolight.stages.sources import six_views as six
+    from vorolight.stages.sources.silhouettes import Reading, parse_background
 
     if not photo.is_file():
         raise InputError(f"{photo}: no such file; give the path of a picture")
     if six_views is not None and generator is not None:
         raise UsageError("--generator and --six-views: both are given; give one of them")
+    if enclosed not in ("object", "background"):
+        raise UsageError(f"--enclosed {enclosed}: must be object or background")
+    reading = Reading(parse_background(background), enclosed == "background", invert_masks)
+    views_of = None if order is None else six.parse_order(order)
     if six_views is not None:
-        made = six.of_folder(six_views)
+        made = six.of_folder(six_views, views_of, reading)
     elif generator is not None:
-        made = six.of_generator(generator, photo, allow_code)
+        made = six.of_generator(generator, photo, allow_code, views_of, reading)
     else:
         raise BackendMissing(
             "there is no built-in generator of six views: make the views with another program, "
             "such as Hunyuan3D-2, and give their folder with --six-views, or give a function that "
             "calls such a program with --generator MODULE:FUNCTION"
         )
+    for note in made.notes:
+        Console(1, False, False).warn(note)
     target = six.write(made, output or photo.with_name(f"{photo.stem}-views"), force)
     print(f"{target}\nnow: vorolight run {target.parent} -n 40")

@@ -24,6 +24,8 @@ class Views:
     cameras: tuple[Camera, ...]
     masks: NDArray[np.uint8]
     normals: NDArray[np.int16] | None
+    notes: tuple[str, ...] = ()
+    """What was assumed when they were read, in sentences."""
 
     def __len__(self) -> int:
         return len(self.cameras)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..artifacts.run_folder import RunFolder
 from ..render import image_file, lit, raster
-from ..sources.resolve import up_axis
+from ..sources.resolve import recorded_up
 from ..surface.geometry import fan_triangles
 from ..surface.polygons import Floats, Ints, PolygonMesh
 
@@ -19,8 +19,7 @@ AZIMUTH = {"y": 60.0, "z": -60.0}
 
 def up_of(folder: RunFolder) -> str:
     """The axis, y or z, that is drawn upward."""
-    stored = folder.manifest("classify")
-    return up_axis(stored["inputs"][0]["path"]) if stored else "z"
+    return recorded_up(folder.manifest("classify"))
 
 
 def _view(up: str) -> raster.View:

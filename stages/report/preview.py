@@ -50,7 +50,10 @@ def preview(source: Source, classified: Arrays, size: int = 480) -> Floats:
     """Three panels ``(H, 3 H, 3)``: the input, with what is wrong in it in red, of views four
     pictures with the outline of the surface; its interior voxels; and the middle slice of the
     grid, interior voxels, their band and the surface."""
-    up = up_axis(None if source.path is None else str(source.path))
+    if isinstance(source, ViewSource):
+        up = source.up
+    else:
+        up = up_axis(None if source.path is None else str(source.path))
     view = raster.view(up, AZIMUTH[up])
     frame = ModelFrame.of(classified)
     panels = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,10 @@ from ..render.cameras import Camera
 from ..render.views import COVERED, Views
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import topology
-from . import view_files, view_pictures
+from . import view_alignment, view_files, view_pictures
 from .hull import VisualHull, signed_distances
 from .mesh import TriangleSource
+from .silhouettes import PLAIN, Reading
 from .view_fit import fit
 
 CELLS = 96
@@ -41,17 +43,30 @@ class ViewSource(TriangleSource):
         self.found = view_files.read(path)
         self.votes = 0
         self.threads = 1
+        self.reading = PLAIN
+        self.fit: view_alignment.Fit | None = None
+        self._restored = False
         self.tick = lambda: None
         self._agreement: Floats | None = None
 
     @cached_property
     def views(self) -> Views:
-        """The masks and normals, opened. Raises InputError."""
-        return view_pictures.load(self.found, self.threads)
+        """The masks and normals, opened, orthographic ones made to agree. Raises InputError."""
+        views = view_pictures.load(self.found, self.threads, self.reading)
+        if not self._restored:
+            self.fit, said = view_alignment.fit(views, self.names, self.votes, self.threads)
+            views = replace(views, notes=(*views.notes, *said))
+        return self.fit.applied(views) if self.fit is not None else views
 
     @cached_property
     def names(self) -> list[str]:
         return [shot.name for shot in self.found.shots]
+
+    @property
+    def up(self) -> str:
+        """The axis, y or z, that points up in most of the pictures."""
+        upward = np.sum([shot.camera.rotation[1] for shot in self.found.shots], axis=0)
+        return "y" if abs(upward[1]) > abs(upward[2]) else "z"
 
     @cached_property
     def polygons(self) -> PolygonMesh:
@@ -111,11 +126,18 @@ class ViewSource(TriangleSource):
 
     def state(self) -> dict[str, Any]:
         """Arrays of what took long to find."""
-        return {
+        kept: dict[str, Any] = {
             "source/vertices": self.vertices,
             "source/triangles": self.triangles,
             "source/agreement": self.agreement(),
+            "source/inverted": np.array(self.reading.inverted),
+            "source/openings": np.array(self.reading.openings),
         }
+        if self.reading.background is not None:
+            kept["source/background"] = np.array(self.reading.background, np.int64)
+        if self.fit is not None:
+            kept["source/scale"], kept["source/shift"] = self.fit.scale, self.fit.shift
+        return kept
 
     def restore(self, stored: Mapping[str, Any]) -> None:
         """Take what ``state`` was, of the same views."""
@@ -123,6 +145,16 @@ class ViewSource(TriangleSource):
             stored["source/vertices"], stored["source/triangles"]
         )
         self._agreement = stored["source/agreement"]
+        self._restored = True
+        background = None
+        if "source/background" in stored:
+            red, green, blue = stored["source/background"].tolist()
+            background = red, green, blue
+        self.reading = Reading(
+            background, bool(stored["source/openings"]), bool(stored["source/inverted"])
+        )
+        if "source/scale" in stored:
+            self.fit = view_alignment.Fit(stored["source/scale"], stored["source/shift"])
 
     def describe(self) -> dict[str, Any]:
         facts, agreement = topology(self.polygons), self.agreement()
@@ -134,8 +166,17 @@ class ViewSource(TriangleSource):
             "width": self.views.cameras[0].width,
             "height": self.views.cameras[0].height,
             "orthographic": self.views.cameras[0].orthographic,
+            "up": self.up,
             "normals": self.views.normals is not None,
             "mask_votes": self.votes,
+            "fit": None
+            if self.fit is None
+            else {
+                "largest_scale": float(np.exp(np.abs(np.log(self.fit.scale)).max())),
+                "largest_shift": float(np.linalg.norm(self.fit.shift, axis=1).max()),
+                "scale": dict(zip(self.names, self.fit.scale.tolist(), strict=True)),
+                "shift": dict(zip(self.names, self.fit.shift.tolist(), strict=True)),
+            },
             "mask_overlap_mean": float(agreement.mean()),
             "mask_overlap_worst": float(agreement.min()),
             "euler_number": facts.euler_number,
@@ -143,7 +184,7 @@ class ViewSource(TriangleSource):
         }
 
     def warnings(self) -> list[str]:
-        said = []
+        said = list(self.views.notes)
         agreement = self.agreement()
         bad = np.flatnonzero(agreement < DISAGREE)
         if len(bad):

@@ -29,6 +29,14 @@ def up_axis(path: str | None) -> str:
     return "y" if path is not None and packed.ending(Path(path)) in Y_UP else "z"
 
 
+def recorded_up(manifest: Mapping[str, Any] | None) -> str:
+    """The axis that points up in the input of a run, by its ``manifest`` of classify."""
+    if not manifest:
+        return "z"
+    told = manifest["metrics"]["input"].get("up")  # of views, by their cameras
+    return str(told) if told in ("y", "z") else up_axis(manifest["inputs"][0]["path"])
+
+
 @dataclass(frozen=True)
 class Identity:
     """An input without opening it: what a fingerprint and a manifest need."""

@@ -33,13 +33,16 @@ class Level:
 
     edge: float
     rounds: int
+    cells: int = 120
+    """Of a unit, on which crossing parts are united before."""
 
 
 LEVELS = (Level(1 / 50, 8), Level(1 / 50, 4), Level(1 / 90, 3))
+BLIND_LEVELS = (Level(1 / 90, 2, 180), Level(1 / 90, 3, 180))
+"""Of views without normals. The hull is near what they tell: longer edges and larger cells would
+take from its thin parts what no normal brings back."""
 STEPS = 2
 """Gauss-Newton steps in a round."""
-CELLS = 120
-"""Of a unit, where crossing parts are united."""
 SPECK = 1e-4
 """Share of the volume of the largest piece below which a piece is left out then."""
 OUTLINE = 3.0
@@ -96,9 +99,9 @@ def fit(
     ``doubtful`` masks may be wrong. ``tick`` is called after each round.
     """
     mesh = Sized(vertices, triangles, np.zeros(len(vertices)))
-    for number, level in enumerate(LEVELS):
+    for number, level in enumerate(levels(views)):
         if number:
-            mesh = _solid(mesh)
+            mesh = _solid(mesh, level.cells)
         for _ in range(level.rounds):
             mesh = _remeshed(mesh, level.edge)
             table = EdgeTable.of(mesh.triangles)
@@ -111,9 +114,9 @@ def fit(
     return mesh.vertices, mesh.triangles
 
 
-def rounds() -> int:
-    """How often ``fit`` ticks."""
-    return sum(level.rounds for level in LEVELS)
+def levels(views: Views) -> tuple[Level, ...]:
+    """Those that ``fit`` goes through; it ticks once a round."""
+    return LEVELS if views.normals is not None else BLIND_LEVELS
 
 
 def _observed(
@@ -188,13 +191,13 @@ def _step(mesh: Sized, table: EdgeTable, seen: list[Seen], edge: float, doubtful
     return limited(GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3), edge)
 
 
-def _solid(mesh: Sized) -> Sized:
+def _solid(mesh: Sized, cells: int) -> Sized:
     """The surface of what the mesh goes round once: without what is inside out, or crosses."""
     import igl
 
     from ..surface.triangle_tree import TriangleTree
 
-    cell = 1 / CELLS
+    cell = 1 / cells
     vertices, triangles = np.ascontiguousarray(mesh.vertices), mesh.triangles
     grid = NodeGrid.around(vertices, cell)
     inside = np.asarray(igl.fast_winding_number(vertices, triangles, grid.nodes)) > 0.5

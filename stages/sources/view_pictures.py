@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,9 @@ from ..render import image_file
 from ..render.cameras import Camera
 from ..render.views import COVERED, UNIT, Views
 from ..surface.polygons import Floats
+from .silhouettes import PLAIN, Reading, Silhouette, decoded, notes, refuse_inverted, silhouette
 from .view_files import SPACES, Shot, ViewSet, sized
 
-FEWEST = 16
-"""Pixels of a mask that are an object, and of what is around it."""
-INVERTED = 0.9
-"""Share of the pixels at the pictures' edges that masks cover, above which they are inverted."""
-LENGTHS = (0.7, 1.3)
-"""Between them a pixel of a normal map holds a normal."""
 RIM = 1.5
 """Pixels from the outline in which a normal should point the way out."""
 AGREEING, TELLING = 0.4, 0.2
@@ -32,15 +26,15 @@ FLIPPED = 0.3
 means that it is flipped."""
 
 
-def load(found: ViewSet, threads: int = 1) -> Views:
+def load(found: ViewSet, threads: int = 1, reading: Reading = PLAIN) -> Views:
     """Cameras, masks and normals of all views.
 
     Raises InputError for pictures that are missing, damaged or of different sizes, for masks that
     are not there, empty or full, and for normals that contradict the masks.
     """
     with ThreadPoolExecutor(threads) as pool:
-        loaded = list(pool.map(lambda shot: _load(found, shot), found.shots))
-    cameras, masks, normals = zip(*loaded, strict=True)
+        loaded = list(pool.map(lambda shot: _load(found, shot, reading), found.shots))
+    cameras, shown, normals = zip(*loaded, strict=True)
     first = found.shots[0]
     for shot, camera in zip(found.shots, cameras, strict=True):
         if (camera.width, camera.height) != (cameras[0].width, cameras[0].height):
@@ -54,14 +48,13 @@ def load(found: ViewSet, threads: int = 1) -> Views:
             f"{found.path}: {found.shots[have.index(False)].name} has no normal map but others "
             "have; give all of them or none"
         )
-    views = Views(tuple(cameras), np.stack(masks), np.stack(normals) if all(have) else None)
-    edge = np.ones(views.masks.shape[1:], dtype=bool)
-    edge[1:-1, 1:-1] = False
-    if (views.masks[:, edge] >= COVERED).mean() > INVERTED:
-        raise InputError(
-            f"{found.path}: the masks cover the edges of the pictures and leave out what is "
-            "within, so they seem inverted; invert them, so that the object is bright or opaque"
-        )
+    views = Views(
+        tuple(cameras),
+        np.stack([each.mask for each in shown]),
+        np.stack(normals) if all(have) else None,
+        tuple(notes(shown, [shot.name for shot in found.shots])),
+    )
+    refuse_inverted(found.path, views.masks)
     if all(have):
         check_normals(found, views)
     return views
@@ -75,36 +68,13 @@ def colours(shot: Shot) -> NDArray[np.float32]:
     return image[..., :3].astype(np.float32) / np.float32(255)
 
 
-def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArray[np.int16] | None]:
-    image = image_file.read(shot.mask or shot.image, by_range=shot.mask is not None)
-    if shot.mask is None:
-        if image.ndim != 3 or image.shape[2] != 4:
-            raise InputError(
-                f"{shot.image}: has no alpha channel, and no mask lies beside it; add "
-                f"{shot.image.stem}_mask.png"
-            )
-        mask = image[..., 3]
-    else:
-        mask = image if image.ndim == 2 else image[..., 3 if image.shape[2] == 4 else 0]
-        if image.ndim == 3 and image.shape[2] == 4 and mask.min() == 255:
-            mask = image[..., 0]  # opaque: the mask is what is drawn
-        top = int(mask.max(initial=0))
-        if 0 < top < COVERED:  # of labels, such as 0 and 1
-            mask = np.asarray(255 * mask.astype(np.int64) // top, dtype=np.uint8)
+def _load(
+    found: ViewSet, shot: Shot, reading: Reading
+) -> tuple[Camera, Silhouette, NDArray[np.int16] | None]:
+    shown = silhouette(shot.image, shot.mask, shot.normal, reading)
+    mask = shown.mask
     height, width = mask.shape
-    if image_file.size(shot.image) != (width, height):
-        raise InputError(
-            f"{shot.mask}: is {width} x {height} pixels, {shot.image.name} is not; scale one"
-        )
     camera = sized(shot, width, height)
-    covered = int((mask >= COVERED).sum())
-    place = shot.mask or shot.image
-    if covered < FEWEST:
-        raise InputError(f"{place}: the mask is empty; draw it, or remove its view")
-    if covered > mask.size - FEWEST:
-        raise InputError(
-            f"{place}: the mask covers the whole picture; give one that leaves the background out"
-        )
     normal = None
     if shot.normal is not None:
         normal = _normals(found, shot, camera)
@@ -114,7 +84,7 @@ def _load(found: ViewSet, shot: Shot) -> tuple[Camera, NDArray[np.uint8], NDArra
                 f"{shot.name} {width} x {height}; scale one of them"
             )
         normal[mask < COVERED] = 0
-    return camera, np.ascontiguousarray(mask), normal
+    return camera, shown, normal
 
 
 def _normals(found: ViewSet, shot: Shot, camera: Camera) -> NDArray[np.int16]:
@@ -122,21 +92,6 @@ def _normals(found: ViewSet, shot: Shot, camera: Camera) -> NDArray[np.int16]:
     assert shot.normal is not None
     normal = decoded(shot.normal) @ _axes(found.normal_space, camera).astype(np.float32)
     return np.asarray(np.rint(UNIT * normal), dtype=np.int16)
-
-
-def decoded(path: Path) -> NDArray[np.float32]:
-    """The unit vectors ``(H, W, 3)`` of a normal map, zero where it has none. Raises InputError."""
-    image = image_file.read(path)
-    if image.ndim != 3:
-        raise InputError(f"{path}: a normal map has three channels, this has one")
-    normal = image[..., :3].astype(np.float32) * np.float32(2 / 255) - 1
-    length = np.sqrt(np.einsum("hwk,hwk->hw", normal, normal))
-    good = (length > LENGTHS[0]) & (length < LENGTHS[1])
-    if image.shape[2] == 4:
-        good &= image[..., 3] >= COVERED
-    return np.asarray(
-        np.where(good[..., None], normal / np.maximum(length, 0.1)[..., None], 0), np.float32
-    )
 
 
 def _axes(space: str, camera: Camera) -> Floats:
