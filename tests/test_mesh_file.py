@@ -34,7 +34,7 @@ BAD = {
                  b"property float x\nproperty float y\nproperty float z\nelement face 9\n"
                  b"property list uchar int vertex_indices\nend_header\n", "more elements"),
     "short.stl": (b"solid nothing at all", "trimesh cannot read it|no surface"),
-    "paper.pdf": (b"%PDF", "not read"),
+    "paper.pdf": (b"%PDF", "cannot be read"),
 }  # fmt: skip
 
 

@@ -357,7 +357,7 @@ def spoil_normal(folder: Path) -> None:
         (spoil_full, "003_mask.png: the mask covers the whole picture"),
         (spoil_alpha, "003.png: has no alpha channel, no mask beside it, and no background of one"),
         (spoil_blank, "003.png: has no alpha channel, no mask beside it, and one colour"),
-        (spoil_few, "holds 1 views"),
+        (spoil_few, "has 1 views"),
         (spoil_lens, "distorts \\(k1\\)"),
         (spoil_model, "camera model FISHEYE"),
         (spoil_json, "not a readable set of views"),
