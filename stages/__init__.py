@@ -1,1 +1,1 @@
-"""The method: stages and what they are made of."""
+"""The method: one module for each stage, and the packages that stages use."""

@@ -1,4 +1,4 @@
-"""Stage baseline: the surface that another published method makes of the input, to compare with.
+"""Stage baseline: run another published method on the same input.
 
 Example:
     >>> from vorolight.stages import baseline, pipeline
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from .surface.polygons import Floats
 
 SAMPLES = 150
-"""Samples for each square of the grid's side: 153,600 at 32."""
+"""Number of samples divided by the square of the grid's nodes along a side: 153,600 samples at
+32."""
 
 
 @dataclass(frozen=True)
@@ -31,25 +32,26 @@ class Params(contract.Params):
     method: Annotated[Literal["voromesh"], Positional()] = "voromesh"
     """The method: VoroMesh (Maruani et al., ICCV 2023), with its published settings."""
     grid: Annotated[int, Range(4, 512)] = 32
-    """Nodes along the cube that the shape fills nine tenths of; those near it are the generators
-    to start from."""
+    """Number of nodes along a side of the cube around the shape. Nodes near the shape are the first
+    generators."""
     samples: Annotated[int, Range(100, 10_000_000)] | None = None
-    """Points on the surface: 150 times the square of the grid, which is 153,600 at 32. Of a point
-    cloud its own points, no more than these."""
+    """Number of points on the surface. Default: 150 times the square of --grid, 153,600 at 32. A
+    point cloud gives its own points, at most this number."""
     epochs: Annotated[int, Range(0, 100_000)] = 400
-    """Adam iterations."""
+    """Number of Adam iterations."""
     batch: Annotated[float, Range(1e-3, 1)] = 0.2
-    """Share of the samples that an epoch takes, others each time."""
+    """Share of the samples that each epoch uses; they are drawn anew."""
     learning_rate: Positive = 5e-3
-    """Adam step at first, the cube's edge being 2; halved after 20, 37.5, 50 and 62.5 % of the
-    epochs."""
+    """First step of Adam, where the edge of the cube is 2. It is halved after 20, 37.5, 50 and 62.5
+    % of the epochs."""
     labels: str | None = None
-    """A mesh file or built-in field that says what is inside, such as the clean mesh of a noisy
-    point cloud; default: the input."""
+    """A mesh file or built-in field that decides what is inside, such as the clean mesh of a noisy
+    point cloud. Default: the input."""
 
 
 def run(context: Context) -> Outcome:
-    """Samples, generators near them, Adam on the VoroLoss, labels, and the interface."""
+    """Sample the surface, place generators, train them by Adam on the VoroLoss, label them, and
+    extract the interface."""
     from concurrent.futures import ThreadPoolExecutor
 
     import torch
@@ -94,8 +96,12 @@ def run(context: Context) -> Outcome:
     if not inside.any():
         of = context.folder.path if params.labels is None else params.labels
         raise InputError(
-            f"{of}: no cell of the {len(start)} generators is inside"
-            + ("; raise --grid" if params.labels is None else "; is it where the input is?")
+            f"{of}: none of the {len(start)} generators lies inside the shape"
+            + (
+                "; raise --grid"
+                if params.labels is None
+                else "; check that it has the coordinates of the input"
+            )
         )
     surface = interface(places, inside)
     mesh = surface.mesh.with_vertices(frame.input_from_cube(surface.mesh.vertices))
@@ -130,13 +136,16 @@ def _warnings(euler: int, components: int, expected: tuple[int, int] | None) -> 
     if expected is None or expected == (euler, components):
         return []
     return [
-        f"the surface has Euler number {euler} and {components} components, the input "
-        f"{expected[0]} and {expected[1]}"
+        (
+            f"the surface has Euler number {euler} and {components} components, but the input "
+            f"has {expected[0]} and {expected[1]}: parts or holes were lost or joined; raise "
+            "--grid"
+        )
     ]
 
 
 def _judge(context: Context) -> Source:
-    """Who says what is inside. Raises InputError for what has no inside of its own."""
+    """The source that decides what is inside. Raises InputError for a source without an inside."""
     from .sources.resolve import identify
 
     named = context.params.labels
@@ -144,13 +153,16 @@ def _judge(context: Context) -> Source:
         return context.source()
     found = identify(named)
     if found.kind not in ("mesh", "field"):
-        raise InputError(f"{named}: is {found.kind}; --labels takes a mesh or a field")
+        raise InputError(f"{named}: is of kind {found.kind}, but --labels needs a mesh or a field")
     return found.open()
 
 
 def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
-    """Samples of the surface in the method's cube, in the order of the grid's boxes, which lets
-    those that are worked on together be near one another, and the cube's frame."""
+    """Samples of the surface in the method's cube, and the frame of that cube.
+
+    They are in the order of the grid's boxes, so that samples that are processed together are close
+    in memory.
+    """
     import numpy as np
 
     from .baselines.sampling import DRAWN, even
@@ -167,7 +179,8 @@ def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
         points = even(source.surface_samples(DRAWN * count, random), count, context.threads)
     box = source.bounding_box()
     if isinstance(source, FieldSource | PointSource):
-        # A field's box is what is searched, that of the surface made of points is not theirs.
+        # A field's box is the search region; the box of the surface made of points is not that of
+        # the points.
         box = np.stack([points.min(axis=0), points.max(axis=0)])
     frame = CubeFrame.of_box(box)
     samples = frame.cube_from_input(points)

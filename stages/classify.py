@@ -1,4 +1,4 @@
-"""Stage classify: which voxels are inside the shape, which lie in the band around it.
+"""Stage classify: find the voxels that lie inside the shape.
 
 Example:
     >>> from pathlib import Path
@@ -30,43 +30,46 @@ class Params(contract.Params):
     """Options of the classify stage."""
 
     n_init: Annotated[int, Range(5, 512), Short("-n")] = 25
-    """Voxels along the longest side of the shape: the resolution of everything that follows."""
+    """Number of voxels along the longest side of the shape. It sets the resolution of all
+    stages."""
     noise: Positive | None = None
-    """Standard deviation of a point cloud's noise, in the input's units; estimated by default."""
+    """Standard deviation of the noise of a point cloud, in the unit of the input. Default:
+    estimated."""
     columns: str | None = None
-    """Of a text of points: which columns are x, y and z, and maybe the normal, by name or by number
-    from 1 on, as in 2,3,4. By default those of these names, else the first."""
+    """The columns of a text file that hold x, y and z, and optionally the normal, by name or by
+    number, counted from 1: 2,3,4. Default: the columns with these names, else the first ones."""
     level: float | None = None
-    """Of samples on a grid: what is above this value is inside, as of a CT scan. By default what is
-    negative is inside, of labels what is not zero."""
+    """Samples on a grid above this value are inside, as for a CT scan. Default: negative samples
+    are inside, and of labels those that are not zero."""
     mask_votes: Annotated[int, Range(0, 100)] = 0
-    """Of views: how many masks may leave out what is inside, anywhere."""
+    """How many masks of views may be wrong about a place that is inside."""
     background: str | None = None
-    """Of views whose pictures are opaque and have no masks: the colour that is taken out from their
-    edges on: auto, white, black, or red, green and blue as in 0,177,64. By default auto: what most
-    of a picture's edge has."""
+    """Background colour of opaque views without masks: auto, white, black, or red, green and blue,
+    as in 0,177,64. It is removed from the border of each picture inward. Default: auto, the colour
+    of most of the border."""
     enclosed: Literal["object", "background"] = "object"
-    """Of such views: what areas of the background's colour within the object are: parts of it, or
-    background, seen through openings."""
+    """What areas of the background colour inside the object are in such views: parts of the object,
+    or background that is seen through openings."""
     invert_masks: bool = False
-    """Of views whose masks or alpha have the object dark and what is around it bright."""
+    """Invert masks or alpha channels of views in which the object is dark."""
     repair: bool = False
-    """Let pymeshlab remove what is doubled or not manifold in a mesh, turn faces, close holes."""
+    """Repair a mesh with pymeshlab first: remove doubled and non-manifold parts, turn faces and
+    close holes."""
     weld: Positive | None = None
-    """Distance, in the input's units, within which vertices of a mesh's open edges are one; 0: only
-    those at the same place. By default as near as single precision tells them apart."""
+    """Merge vertices of open edges of a mesh within this distance, in the unit of the input; 0
+    merges only those at the same place. Default: those that single precision cannot tell apart."""
     allow_poor_input: bool = False
-    """Go on with a mesh most of whose edges are open and whose inside is in doubt, and with a shape
-    so thin that its surface needs more than 400,000 triangles. With --thickness a mesh is a sheet,
-    whatever its edges are."""
+    """Continue with a mesh most of whose edges are open and whose inside is uncertain, or with a
+    shape so thin that its surface needs more than 400,000 triangles. With --thickness a mesh is a
+    sheet, whatever its edges are."""
     max_time: Annotated[float, Range(0)] | None = None
     """Refuse a shape whose run up to the surface would take about more CPU seconds than this."""
     shells: Literal["union", "alternate"] = "union"
-    """Of closed parts of a mesh within each other that all face outward: union takes them as one
-    solid, alternate each second one as a hollow."""
+    """Closed parts of a mesh inside each other that all face outward: union makes them one solid,
+    alternate makes every second one a hollow."""
     thickness: Positive | None = None
-    """Take a mesh as a sheet this thick, in the input's units; 0: as a solid. By default a sheet
-    of a voxel if it encloses next to nothing beyond doubt."""
+    """Thickness with which a mesh becomes a sheet, in the unit of the input; 0 makes it a solid.
+    Default: a solid, or a sheet of one voxel if the mesh encloses next to nothing."""
 
 
 def run(context: Context) -> Outcome:
@@ -86,22 +89,24 @@ def run(context: Context) -> Outcome:
         source.given_noise, source.threads = params.noise, context.threads
         source.columns = params.columns
     elif params.noise is not None:
-        raise UsageError(f"--noise: the input is a {source.kind}; only points have noise")
+        raise UsageError(f"--noise: needs a point cloud, but the input is of kind {source.kind}")
     elif params.columns is not None:
-        raise UsageError(f"--columns: the input is a {source.kind}; only points have columns")
+        raise UsageError(f"--columns: needs a point cloud, but the input is of kind {source.kind}")
     if isinstance(source, FieldSource) and source.path is not None:
         source.above = params.level
     elif params.level is not None:
-        raise UsageError(f"--level: the input is a {source.kind}; only samples on a grid have one")
+        raise UsageError(
+            f"--level: needs samples on a grid, but the input is of kind {source.kind}"
+        )
     if source.kind == "views":
         _fit(cast("ViewSource", source), context)
     elif params.mask_votes:
-        raise UsageError(f"--mask-votes: the input is a {source.kind}; only views have masks")
+        raise UsageError(f"--mask-votes: needs views, but the input is of kind {source.kind}")
     elif params.invert_masks:
-        raise UsageError(f"--invert-masks: the input is a {source.kind}; only views have masks")
+        raise UsageError(f"--invert-masks: needs views, but the input is of kind {source.kind}")
     elif params.background is not None or params.enclosed != "object":
         name = "enclosed" if params.background is None else "background"
-        raise UsageError(f"--{name}: the input is a {source.kind}; only views have a background")
+        raise UsageError(f"--{name}: needs views, but the input is of kind {source.kind}")
     if isinstance(source, MeshSource):
         source.repair, source.reach = params.repair, params.weld
         source.hollow = params.shells == "alternate"
@@ -112,13 +117,13 @@ def run(context: Context) -> Outcome:
             thickness = float(np.ptp(source.bounding_box(), axis=0).max()) / params.n_init
         source.take_as_sheet(thickness or 0.0)
     elif params.thickness is not None:
-        raise UsageError(f"--thickness: the input is a {source.kind}; only a mesh can be a sheet")
+        raise UsageError(f"--thickness: needs a mesh, but the input is of kind {source.kind}")
     elif params.weld is not None:
-        raise UsageError(f"--weld: the input is a {source.kind}; only a mesh has vertices to weld")
+        raise UsageError(f"--weld: needs a mesh, but the input is of kind {source.kind}")
     elif params.shells != "union":
-        raise UsageError(f"--shells: the input is a {source.kind}; only a mesh has shells")
+        raise UsageError(f"--shells: needs a mesh, but the input is of kind {source.kind}")
     elif params.repair:
-        raise UsageError(f"--repair: of {source.kind} there is nothing to repair; only of a mesh")
+        raise UsageError(f"--repair: needs a mesh, but the input is of kind {source.kind}")
     context.progress.start("classify", 2 * voxels.ROUNDS)
     done = 0
 
@@ -158,20 +163,20 @@ def run(context: Context) -> Outcome:
 
 
 def _check_effort(needed: Effort, params: Params, name: str) -> None:
-    """Raise InputError where there would be too many triangles, or it would take too long."""
+    """Raise InputError if the run would need too many triangles, or too much time."""
     refused = needed.refusal(MAX_FACES)
     if refused is not None and not params.allow_poor_input:
         raise InputError(f"{name}: {refused}")
     if params.max_time is not None and needed.cpu_seconds > params.max_time:
         raise InputError(
             f"{name}: the run up to the surface takes about {needed.cpu_seconds:.0f} CPU seconds "
-            f"for {needed.triangles:,} triangles, --max-time is {params.max_time:g}: raise it, or "
-            "lower -n"
+            f"for {needed.triangles:,} triangles, more than --max-time {params.max_time:g}: raise "
+            "it, or lower -n"
         )
 
 
 def _fit(source: ViewSource, context: Context) -> None:
-    """Make the surface that stands for views, with a progress of its own."""
+    """Make the surface that stands for views, with its own progress bar."""
     from .sources.view_fit import levels
 
     rounds = sum(level.rounds for level in levels(_told(source, context).views))

@@ -17,7 +17,7 @@ from .errors import ArtifactError, BackendMissing, UsageError
 
 Value = str | int | float | bool | None
 Table = dict[str, list[Value]]
-"""Column -> a value for each row, None where a run has none."""
+"""Values of all rows by column; None where a run has no value."""
 
 FIRST = (
     "run", "error", "input", "input_sha256", "kind", "tool_version", "n_init", "seed", "threads",
@@ -25,33 +25,38 @@ FIRST = (
 )  # fmt: skip
 """Columns about a run as a whole; those of a stage are called ``stage.figure``."""
 KEPT = ("run", "error")
-"""Columns that are there whatever is selected."""
+"""Columns that stay whatever columns are selected."""
 
 
 def run_folders(paths: Sequence[Path]) -> list[RunFolder]:
-    """``paths`` that are run folders, and the run folders in those that are not, each once.
+    """Those ``paths`` that are run folders, and the run folders inside the other ones, each once.
 
     Raises ArtifactError for a path that is neither.
     """
     found: dict[Path, RunFolder] = {}
     for path in paths:
         if not path.is_dir():
-            raise ArtifactError(f"{path}: no such folder; give run folders, or what they are in")
+            raise ArtifactError(
+                f"{path}: no such folder; give run folders, or folders that contain run folders"
+            )
         if path.resolve().suffix == SUFFIX or (path / "classify.json").is_file():
             inner = [path]
         else:
             inner = sorted(entry for entry in path.glob(f"*{SUFFIX}") if entry.is_dir())
         if not inner:
-            raise ArtifactError(f"{path}: neither a run folder nor a folder of *{SUFFIX}")
+            raise ArtifactError(
+                f"{path}: is not a run folder and contains none (*{SUFFIX}); check the path"
+            )
         for run in inner:
             found.setdefault(run.resolve(), RunFolder(run))
     return list(found.values())
 
 
 def row(folder: RunFolder) -> dict[str, Value]:
-    """What the manifests of a run say, by column. What cannot be read is said in ``error``.
+    """Values of the manifests of a run, by column.
 
-    A stage whose manifest is there counts as complete; that it may be stale is not looked into.
+    What cannot be read is reported in the column ``error``. A stage with a manifest counts as
+    complete; whether it is stale is not checked.
     """
     found: dict[str, Value] = {"run": str(folder.path), "error": None}
     try:
@@ -76,7 +81,7 @@ def row(folder: RunFolder) -> dict[str, Value]:
 
 
 def _stems(names: set[str]) -> list[str]:
-    """The stages of a whole run, then what else was run."""
+    """The stages of a whole run, then all others that were run."""
     stages = [name for name in standing.ORDER if name != "evaluate"]
     others = [name for name in standing.ALL if name not in standing.ORDER]
     stages += [name for name in others if f"{name}.json" in names]
@@ -112,7 +117,7 @@ def _figures(stem: str, stored: manifest.Manifest) -> dict[str, Value]:
 
 
 def _flat(name: str, value: Any) -> Iterator[tuple[str, Value]]:
-    """The scalars in ``value`` by the path to them; lists are left out."""
+    """The scalars in ``value`` by their path; lists are left out."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _flat(f"{name}.{key}", inner)
@@ -121,8 +126,10 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Value]]:
 
 
 def gather(folders: Sequence[RunFolder], told: Callable[[int, dict[str, Value]], None]) -> Table:
-    """The rows of ``folders`` as columns, those of a stage side by side. ``told`` is called with
-    the number of rows so far and each row."""
+    """The rows of ``folders`` as columns, ordered by stage.
+
+    ``told`` is called after each row with the number of rows so far and the row.
+    """
     table: Table = {}
     for number, folder in enumerate(folders):
         found = row(folder)
@@ -137,7 +144,7 @@ def gather(folders: Sequence[RunFolder], told: Callable[[int, dict[str, Value]],
 
 
 def _place(name: str, order: list[str]) -> tuple[int, int, str]:
-    """Where a column stands: by its stage, what a run took before what it measured."""
+    """Sort key of a column: its stage, then times and options before figures."""
     stem, _, figure = name.partition(".")
     leading = ("state", "wall_seconds", "cpu_seconds", "peak_memory_mb", "warnings")
     rank = leading.index(figure) if figure in leading else len(leading)
@@ -153,7 +160,8 @@ def selected(table: Table, patterns: Sequence[str]) -> Table:
         if not any(fnmatchcase(name, pattern) for name in table):
             stems = ", ".join(dict.fromkeys(name.partition(".")[0] for name in table))
             raise UsageError(
-                f"--columns {pattern}: no column of these runs matches; they begin with {stems}"
+                f"--columns {pattern}: no column matches; the columns of these runs begin "
+                f"with {stems}"
             )
     return {
         name: values
@@ -177,13 +185,13 @@ def require_parquet() -> None:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
         raise BackendMissing(
-            "tables as .parquet need pyarrow, which is not installed: type "
-            "pip install 'vorolight[cluster]', or name a .csv"
+            "a .parquet file needs pyarrow, which is not installed; run: pip install "
+            "'vorolight[cluster]', or write a .csv file"
         ) from None
 
 
 def as_parquet(table: Table) -> bytes:
-    """Each column of one type; text where its values are of several."""
+    """Each column with one type; text if its values have several types."""
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
@@ -208,5 +216,6 @@ def as_parquet(table: Table) -> bytes:
 
 
 def _text(value: Value) -> str:
-    """What of a file's name is no text becomes question marks; Parquet takes nothing else."""
+    """Replace what is not text in a file name by question marks, since Parquet accepts only
+    text."""
     return str(value).encode("utf-8", "replace").decode("utf-8")

@@ -1,4 +1,7 @@
-"""Loops as machine code, by numba; imported only where such loops are, since it takes 90 MB."""
+"""Compile loops to machine code with numba.
+
+Import this module only where such loops are, since numba takes 90 MB.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
 def compiled(function: Kernel) -> Kernel:
-    """``function`` as machine code, kept on disk where there is a place for it.
+    """``function`` as machine code, cached on disk if a folder can be written.
 
-    It releases the interpreter's lock, so that threads can run it at once.
+    It releases the interpreter's lock, so that threads can run it at the same time.
     """
     made: Any
     try:
         made = numba.njit(nogil=True, cache=True)(function)
-    except RuntimeError:  # neither the package's folder nor the user's cache can be written
+    except RuntimeError:  # neither the package folder nor the user's cache can be written
         made = numba.njit(nogil=True)(function)
     return cast(Kernel, made)

@@ -1,4 +1,4 @@
-"""What every stage is: parameters, parents, outputs and one ``run(context)``."""
+"""What a stage is: its parameters, its parents, its outputs and ``run(context)``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MAX_FACES = 400_000
 
 @dataclass(frozen=True)
 class Range:
-    """Limits of a number, both included; None is no limit."""
+    """Bounds of a number, both included; None is no bound."""
 
     low: float | None = None
     high: float | None = None
@@ -42,8 +42,12 @@ class Range:
 
     def __str__(self) -> str:
         if self.high is None:
-            return f"at least {self.low:g}"
-        return f"from {self.low:g} to {self.high:g}"
+            return f"at least {_digits(self.low)}"
+        return f"from {_digits(self.low)} to {_digits(self.high)}"
+
+
+def _digits(bound: float | None) -> str:
+    return f"{bound:,}" if isinstance(bound, int) else f"{bound:g}"
 
 
 @dataclass(frozen=True)
@@ -55,15 +59,15 @@ class Short:
 
 @dataclass(frozen=True)
 class Positional:
-    """Marks an option that is said without a flag, before INPUT."""
+    """Marks an option that is given without a flag, before INPUT."""
 
 
 @dataclass(frozen=True)
 class Length:
-    """A number of millimetres, which may also be said as text with a unit: 120mm, 12cm, 4.7in."""
+    """A length in millimetres; as text it may have a unit: 120mm, 12cm, 4.7in."""
 
     def read(self, text: str) -> float:
-        """Millimetres. Raises ValueError for anything but a number and maybe a unit."""
+        """Millimetres. Raises ValueError unless ``text`` is a number with an optional unit."""
         text = text.strip().lower()
         unit = next((unit for unit in MILLIMETRES if text.endswith(unit)), "")
         return float(text.removesuffix(unit)) * MILLIMETRES.get(unit, 1.0)
@@ -78,11 +82,12 @@ Share = Annotated[float, Range(0, 1)]
 
 @dataclass(frozen=True)
 class Option:
-    """One field of a Params dataclass as everything else sees it."""
+    """One field of a Params dataclass, as the command line, the schemas and the manifests use
+    it."""
 
     name: str
     type: Any
-    """The plain type: int, float, bool, str, or a Literal of strings; None admitted if optional."""
+    """The plain type: int, float, bool, str, or a Literal of strings, without None."""
     optional: bool
     default: Any
     meaning: str
@@ -92,7 +97,7 @@ class Option:
     positional: bool = False
 
     def check(self, value: Any) -> Any:
-        """``value`` in the option's type. Raises UsageError when it does not fit."""
+        """``value`` converted to the option's type. Raises UsageError if it does not fit."""
         flag = self.flag
         if value is None and self.optional:
             return None
@@ -126,7 +131,8 @@ class Option:
 
 
 class Params:
-    """Base of every stage's parameters: a frozen dataclass, a docstring under each field."""
+    """Base class of the parameters of all stages: a frozen dataclass with a docstring under each
+    field."""
 
     def __post_init__(self) -> None:
         for option in options(type(self)):
@@ -138,7 +144,7 @@ class Params:
 
 @cache
 def _module_tree(name: str) -> ast.Module:
-    # Not inspect.getsource: it tokenizes the file, which alone makes --help feel slow.
+    # Not inspect.getsource, which tokenizes the file: that alone makes --help slow.
     return ast.parse(Path(str(sys.modules[name].__file__)).read_text(encoding="utf-8"))
 
 
@@ -204,12 +210,12 @@ def params_schema(params: type[Params]) -> dict[str, Any]:
                 entry["maximum"] = option.limits.high
         entry["default"] = option.default
         properties[option.name] = entry
-    # None is required: a manifest from before an option was there is stale, not unreadable.
+    # No property is required: a manifest from before an option existed is stale, not unreadable.
     return {"type": "object", "properties": properties}
 
 
 class Progress(Protocol):
-    """Where a stage says how far it is."""
+    """Receives the progress of a stage."""
 
     def start(self, label: str, total: int) -> None: ...
 
@@ -223,7 +229,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Progress that goes nowhere."""
+    """Progress that is not shown."""
 
     def start(self, label: str, total: int) -> None:
         pass
@@ -243,19 +249,22 @@ class Silent:
 
 @dataclass(frozen=True)
 class Context:
-    """All a stage gets: its parameters, what the stages before it left, and where it may report."""
+    """Everything that a stage receives: parameters, results of earlier stages, input, and where to
+    report."""
 
     params: Any
     folder: RunFolder
     source: Callable[[], Source]
-    """Opens the input; a stage that never calls it does not depend on the file."""
+    """Opens the input. The result of a stage that never calls it does not depend on the input
+    file."""
     seed: int
     threads: int
     device: str
     progress: Progress
     checkpoints: Checkpoints
     random: Callable[..., np.random.Generator]
-    """``random(purpose, counter)``: counter-based randomness of this stage."""
+    """``random(purpose, counter)`` gives a generator of counter-based random numbers for this
+    stage."""
 
     @cached_property
     def surface(self) -> TrueSurface:
@@ -272,16 +281,17 @@ class Context:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage leaves: arrays for its HDF5 file, other files by suffix, what it measured."""
+    """The result of a stage: arrays for its HDF5 file, other files by suffix, and its figures."""
 
     arrays: dict[str, Any]
     files: dict[str, bytes] = field(default_factory=dict)
     metrics: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     recheck: Callable[[dict[str, Path]], dict[str, Any]] | None = None
-    """Called with the written files by suffix; what it finds goes into ``metrics.as_written``."""
+    """Called with the written files by suffix; what it returns becomes ``metrics.as_written``."""
     frame: dict[str, Any] | None = None
-    """Unit, 4 x 4 map to the input's coordinates and bounding box; None for the input's own."""
+    """Unit, 4 x 4 matrix to the input's coordinates, and bounding box; None if these are the
+    input's."""
 
 
 def _no_parents(params: Any) -> tuple[str, ...]:
@@ -294,19 +304,19 @@ class Stage:
 
     name: str
     version: int
-    """Raised by hand whenever the results change."""
+    """Raised by hand whenever results of existing inputs change."""
     params: type[Params]
     run: Callable[[Context], Outcome]
     memory: Callable[[Context], float]
-    """The peak memory that it will need, in MB."""
+    """The expected peak memory in MB."""
     parents: Callable[[Any], tuple[str, ...]] = _no_parents
     """The stages whose files it reads, given its parameters."""
     reads_input: bool = False
-    """Whether the input itself, beyond what the parents hold, decides its result."""
+    """Whether the result also depends on the input directly, not only through its parents."""
     stem: Callable[[Any], str] | None = None
-    """File name of its artifacts when it is not the stage's name."""
+    """File name of its results if that is not the stage's name."""
     extra_inputs: Callable[[Any], dict[str, str]] = lambda params: {}
-    """Further inputs it reads, by role: files or names of built-in fields."""
+    """Further inputs by role: files or names of built-in fields."""
 
     def stem_of(self, params: Any) -> str:
         return self.stem(params) if self.stem else self.name

@@ -1,7 +1,6 @@
-"""Whether everything that vorolight needs is here and works, and what to do where it does not.
+"""Check that everything vorolight needs is installed and works, with advice where it does not.
 
-The checks run in a child process: a library that crashes its process or never answers is just what
-they are to find.
+The checks run in a child process, since a library may crash its process or never return.
 """
 
 from __future__ import annotations
@@ -16,13 +15,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 SECONDS = 120
-"""After which the check that is at work is given up."""
+"""Seconds after which a running check is abandoned."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found: ``verdict`` is ok, note (something optional is not there, or is worth
-    knowing) or problem, with ``advice`` on what to do."""
+    """The result of a check.
+
+    ``verdict`` is ok, note (an optional part is missing, or something is worth knowing) or problem.
+    ``advice`` says what to do.
+    """
 
     name: str
     found: str
@@ -31,11 +33,11 @@ class Finding:
 
 
 Check = Callable[[Path], Iterable[Finding]]
-"""Is given the folder in which runs are to be written."""
+"""A check; its argument is the folder in which runs will be written."""
 
 
 def checks() -> dict[str, Check]:
-    """All checks by name, in the order in which they are told."""
+    """All checks by name, in the order in which they are reported."""
     from . import installation, machine
 
     return {
@@ -60,9 +62,9 @@ def checks() -> dict[str, Check]:
 
 
 def examine(folder: Path, names: Iterable[str] | None = None) -> Iterator[Finding]:
-    """What the checks called ``names`` find, all of them by default, as they find it.
+    """The findings of the checks called ``names``, by default of all checks, as they come.
 
-    A check that fails, crashes or does not end is a problem of that name; the others go on.
+    A check that fails, crashes or does not end is a finding of kind problem; the others continue.
     """
     left = list(checks() if names is None else names)
     while left:
@@ -70,9 +72,10 @@ def examine(folder: Path, names: Iterable[str] | None = None) -> Iterator[Findin
 
 
 def _by_child(folder: Path, left: list[str]) -> Iterator[Finding]:
-    """Takes each check out of ``left`` that is over, the one that ended the child included."""
+    """Run the checks in ``left`` in a child process, and remove each from ``left`` when it has
+    ended, also the one that ended the child."""
     child = subprocess.Popen(
-        # -P: modules of the folder that the user stands in are none of vorolight's.
+        # -P: modules in the user's current folder must not replace those of vorolight.
         [sys.executable, "-P", "-m", __name__, str(folder), *left],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -97,24 +100,24 @@ def _by_child(folder: Path, left: list[str]) -> Iterator[Finding]:
         child.kill()
         child.wait()
     if left:
-        how = f"did not end within {SECONDS} s" if late else f"ended its process with {code}"
-        advice = "reinstall what it needs: pip install --force-reinstall vorolight"
+        how = f"did not end within {SECONDS} s" if late else f"crashed with exit code {code}"
+        advice = "reinstall vorolight and its libraries: pip install --force-reinstall vorolight"
         yield Finding(left.pop(0), how, "problem", advice)
 
 
 def _tell(folder: str, *names: str) -> None:
-    """Run checks and print their findings, a line of JSON each, and null after every check."""
+    """Run checks and print each finding as a line of JSON, and null after every check."""
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # libraries may print
+    os.dup2(2, 1)  # libraries may print too
     known = checks()
     for name in names:
         try:
             for finding in known[name](Path(folder)):
                 print(json.dumps(asdict(finding)), file=out, flush=True)
-        # A check may come upon anything; that is what it is for.
+        # A check may raise anything, since finding faults is its purpose.
         except BaseException as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            advice = "mend or reinstall what is named there"
+            advice = "repair or reinstall the library that is named there"
             print(json.dumps(asdict(Finding(name, reason, "problem", advice))), file=out)
         print("null", file=out, flush=True)
 

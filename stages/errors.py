@@ -1,4 +1,4 @@
-"""What can go wrong, each with the exit code the command line ends with."""
+"""The errors of the project, each with the exit code of the command line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class UsageError(VorolightError):
 
 
 class InputError(VorolightError):
-    """The user's file or field cannot be used."""
+    """The input file or field cannot be used."""
 
     exit_code = 3
 
@@ -34,7 +34,7 @@ class GateFailure(VorolightError):
 
 
 class NumericalFailure(VorolightError):
-    """The computation left the range in which its result means anything."""
+    """The computation found no valid result, such as no certificate."""
 
     exit_code = 6
 
@@ -46,12 +46,12 @@ class BackendMissing(VorolightError):
 
 
 class Locked(VorolightError):
-    """Another process works on the run folder."""
+    """Another process is working on the run folder."""
 
     exit_code = 75
 
 
 class Stopped(VorolightError):
-    """Stopped where the same command goes on, because it was asked to."""
+    """Stopped at a checkpoint on SIGUSR1; the same command continues."""
 
     exit_code = 85

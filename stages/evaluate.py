@@ -1,4 +1,4 @@
-"""Stage evaluate: what a stage's surface is worth, against the input or a reference.
+"""Stage evaluate: measure a surface against the input or a reference.
 
 Example:
     >>> from vorolight.stages import evaluate, pipeline
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from .surface.polygons import Floats, Ints, PolygonMesh
 
 OTHER_UNITS, OTHER_SIZE = 5.0, 1.25
-"""How many times as large a surface may be as its reference: beyond the one they are not
-comparable, beyond the other they may not be meant to be."""
+"""Largest ratio of the sizes of a surface and its reference. Above OTHER_UNITS the comparison is
+refused, above OTHER_SIZE there is a warning."""
 
 
 @dataclass(frozen=True)
@@ -34,17 +34,19 @@ class Params(contract.Params):
     surface: str | None = None
     """A mesh file to measure in place of a stage's surface, in the input's coordinates."""
     reference: str | None = None
-    """A mesh file or built-in field to compare with; default: the input of the run."""
+    """A mesh file or built-in field to compare with. Default: the input of the run."""
     protocol: Literal["vorolight", "voromesh"] = "vorolight"
-    """Whose samples and threshold: 50,000 and 0.01, or 100,000 and 0.003."""
+    """Number of samples and threshold of F1: vorolight for 50,000 and 0.01, voromesh for 100,000
+    and 0.003."""
     samples: Annotated[int, Range(1000, 10_000_000)] | None = None
-    """Points on each surface; default: the protocol's."""
+    """Number of points on each surface. Default: that of the protocol."""
     threshold: Annotated[float, Range(1e-6, 1)] | None = None
-    """Distance for F1, with the reference's bounding-box diagonal as 1; default: the protocol's."""
+    """Distance for F1, where the diagonal of the reference's bounding box is 1. Default: that of
+    the protocol."""
 
 
 def run(context: Context) -> Outcome:
-    """The paper's appendix B, and beside it what does not depend on samples."""
+    """The paper's appendix B, and in addition figures that do not depend on samples."""
     import numpy as np
 
     from .artifacts.manifest import foreign
@@ -78,7 +80,7 @@ def run(context: Context) -> Outcome:
     if field is None:
         low, high = source.bounding_box()
         true_area = float(geometry.triangle_areas(source.vertices, source.triangles).sum())
-    else:  # a field's box is what is searched, not the shape's; its area is not known
+    else:  # a field's box is its search region, not that of the shape; its area is not known
         low, high = reference.min(axis=0), reference.max(axis=0)
         true_area = area
     name = params.reference or source.name
@@ -118,8 +120,9 @@ def run(context: Context) -> Outcome:
     even, even_smooth = curvature.resampled(vertices, triangles, edge, off, threads)
     if even is None:
         warnings.append(
-            f"|H| of the surface divided to the reference's edges ({edge:.3g}) was not measured: "
-            f"that takes more than {curvature.MOST_VERTICES:,} vertices"
+            "|H| of the evenly resampled surface was not measured: edges as short as those "
+            f"of the reference ({edge:.3g}) would give more than {curvature.MOST_VERTICES:,} "
+            "vertices"
         )
     context.progress.advance(3)
     facts, defects = topology(mesh), gates.defects(mesh)
@@ -185,9 +188,10 @@ def run(context: Context) -> Outcome:
 
 
 def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[str]:
-    """What makes a comparison of a surface, with those ``corners``, to a reference doubtful.
+    """Reasons why the comparison of a surface, given by its ``corners``, with a reference is
+    doubtful.
 
-    Raises InputError when there is nothing to compare.
+    Raises InputError if the two cannot be compared.
     """
     import numpy as np
 
@@ -197,8 +201,8 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
     larger = float(np.linalg.norm(own[1] - own[0]) / np.linalg.norm(box[1] - box[0]))
     if larger > OTHER_UNITS or larger < 1 / OTHER_UNITS:
         raise InputError(
-            f"{name}: the surface is {larger:.4g} times as large as this reference, which is in "
-            "other units; scale one of them"
+            f"{name}: the surface is {larger:.4g} times as large as this reference, so their "
+            "units differ; scale one of them"
         )
     if (own[0] > box[1]).any() or (own[1] < box[0]).any():
         raise InputError(
@@ -208,17 +212,17 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
     warnings = []
     if larger > OTHER_SIZE or larger < 1 / OTHER_SIZE:
         warnings.append(
-            f"the surface is {larger:.3g} times as large as the reference {name}: is it the same "
-            "shape, whole and in the same units?"
+            f"the surface is {larger:.3g} times as large as the reference {name}: the "
+            "figures are meaningless unless both are the same whole shape in the same units"
         )
     if isinstance(source, MeshSource):
         warnings += [f"the reference {name}: {said}" for said in source.taken()]
     holes = getattr(source, "open_edges", 0)
     if holes:
         warnings.append(
-            f"the reference {name} has holes ({holes} edges in one triangle only): no samples of "
-            "it are there, so the surface that closes them counts as wrong in CD^2 and F1, and its "
-            "Euler number has nothing to be compared with"
+            f"the reference {name} has holes ({holes} edges in one triangle only): the "
+            "surface that closes them counts as wrong in CD^2 and F1, and the Euler numbers "
+            "cannot be compared; close the reference"
         )
     return warnings
 
@@ -228,7 +232,8 @@ def _box(box: Floats) -> str:
 
 
 def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[str, Any] | None:
-    """Of a run on views: intersection over union of their masks and the surface as they see it."""
+    """For a run on views: intersection over union of the masks and the surface as the cameras see
+    it."""
     recorded = context.folder.manifest("classify")
     if recorded is None or recorded["inputs"][0]["kind"] != "views":
         return None
@@ -242,7 +247,7 @@ def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[s
 
 
 def _surface(context: Context) -> PolygonMesh:
-    """What is measured. Raises InputError for a file without a surface."""
+    """The surface that is measured. Raises InputError for a file without a surface."""
     from .surface.polygons import PolygonMesh
 
     params = context.params
@@ -258,7 +263,8 @@ def _surface(context: Context) -> PolygonMesh:
 
 
 def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[str, Any]:
-    """The trained polygons' own figures, and conformity recomputed from the files."""
+    """Figures of the trained polygons, and conformity and certificate computed again from the
+    files."""
     import numpy as np
 
     from .metrics import curvature
@@ -322,7 +328,7 @@ def _memory(context: Context) -> float:
         path = Path(params.surface)
         corners = path.stat().st_size // 8 if path.is_file() else 0
     else:
-        # The volume's surface is the trained one's.
+        # The surface of stage volume is the trained one.
         of = "sphere-train" if params.of == "volume" else params.of
         corners = len(context.arrays(of)["surface/face_vertices"])
     return peak(500.0, 300.0 + 1e-4 * samples, 6.0, corners)

@@ -1,4 +1,5 @@
-"""Stage fabricate: a lamp, a lattice, a solid or cells to print; STL and 3MF in millimetres.
+"""Stage fabricate: make a lamp, a lattice, a solid or cells to print. Writes STL and 3MF in
+millimetres.
 
 Example:
     >>> from vorolight.stages import fabricate, pipeline
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     from .surface.polygons import PolygonMesh
 
 BESIDE = 10.0
-"""From the object to its lid in the 3MF, mm."""
+"""Distance in the 3MF file between the object and its lid, in mm."""
 
 
 def run(context: Context) -> Outcome:
-    """Fabrication as in the paper's appendix E.2: tubes along even cells, or the trained faces.
+    """Make the object (paper's appendix E.2): tubes along even cells or along the trained faces.
 
-    Of trained triangles the dual is drawn, a polygon around each vertex.
+    For trained triangles the tubes follow the dual, a polygon around each vertex.
     """
     from .fabrication import lattice, products, slicer
     from .fabrication.even_cells import even_cells
@@ -37,7 +38,7 @@ def run(context: Context) -> Outcome:
 
     params = context.params
     if params.slice:
-        slicer.program()  # a slicer that would be missing in the end is said at once
+        slicer.program()  # a missing slicer is reported now, not at the end
     trained = context.arrays("sphere-train")
     polygons, surface = (
         PolygonMesh.from_arrays(trained, prefix) for prefix in ("trained/", "surface/")
@@ -53,8 +54,8 @@ def run(context: Context) -> Outcome:
             polygons = even_cells(surface, width / _scale(surface, asked), context.threads)
         except ValueError as error:
             raise UsageError(
-                f"--cell-size {width:g}: cells need a closed surface ({error}); train it until it "
-                "has a certificate"
+                f"--cell-size {width:g}: cells need a closed surface ({error}); train the "
+                "surface until it has a certificate"
             ) from error
         drawn = "cells"
     elif (polygons.valences == 3).all():
@@ -75,7 +76,7 @@ def run(context: Context) -> Outcome:
 
 
 def _scale(surface: PolygonMesh, asked: Request) -> float:
-    """Millimetres of the object a unit of the input."""
+    """Millimetres of the object divided by units of the input."""
     import numpy as np
 
     from .fabrication import lamp
@@ -118,7 +119,9 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
     checks = made.checks(params.room, params.nozzle, params.layer)
     fit = next(check for check in checks if check.name == "bed")
     if fit.verdict == "fail":
-        raise UsageError(f"--bed {params.bed}: the object is {fit.text}; lower --height")
+        raise UsageError(
+            f"--bed {params.bed}: the object does not fit ({fit.text}); lower --height"
+        )
     warnings = list(made.warnings)
     bodies = [threemf.Body(made.name, part.vertices, part.triangles)]
     files = {
@@ -128,7 +131,7 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         ),
     }
     if made.lid is not None:
-        # Beside the object, where it can be printed: locked inside it the two would fuse.
+        # Beside the object, where it can be printed: locked inside the object, the two would fuse.
         right = part.vertices[:, 0].max() - made.lid.vertices[:, 0].min() + np.float32(BESIDE)
         beside = made.lid.vertices + np.array([right, 0, 0], np.float32)
         bodies.append(threemf.Body("lid", beside, made.lid.triangles))
@@ -150,8 +153,8 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         else:
             files["png"] = lit.rasterised(*scene)
             warnings.append(
-                "Mitsuba is not installed (pip install 'vorolight[render]'): the picture is "
-                "rasterised, and nothing in it casts shadows"
+                "Mitsuba is not installed: the picture is rasterised, without shadows; for "
+                "a path-traced picture, run: pip install 'vorolight[render]'"
             )
 
     def recheck(paths: dict[str, Path]) -> dict[str, Any]:
@@ -175,7 +178,11 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
         arrays=made.arrays | {"mm_from_input": made.mm_from_input},
         files=files,
         metrics=metrics,
-        warnings=[*warnings, *(f"will not print: {text}" for text in failed), *warned],
+        warnings=[
+            *warnings,
+            *(f"the object is not printable as it is: {text}" for text in failed),
+            *warned,
+        ],
         frame={
             "unit": "mm",
             "input_from_model": np.linalg.inv(made.mm_from_input).tolist(),
@@ -195,7 +202,7 @@ def _memory(context: Context) -> float:
         if params.needs_volume
         else context.arrays("sphere-train")["trained/face_vertices"]
     )
-    # An edge has two faces on a surface, and about three in a volume, of which each is held once.
+    # An edge has two faces on a surface and about three in a volume; each face is counted once.
     return peak(400.0, 300.0, each, len(corners) / (3 if params.needs_volume else 2))
 
 

@@ -13,7 +13,7 @@ from .errors import UsageError
 MODES = ("lamp", "lattice", "solid", "cells")
 FORMATS = ("obj", "glb")
 CELLS = 15
-"""How many cells of a lamp are one above the other, if its nozzle is fine enough."""
+"""Number of cells of a lamp from bottom to top, if the nozzle is fine enough."""
 
 
 @dataclass(frozen=True)
@@ -23,74 +23,78 @@ class Params(contract.Params):
     lamp: bool = False
     """Tubes along the surface's edges, plates, a flat base, and a cavity for a light."""
     lattice: bool = False
-    """Tubes only; this is what is made if nothing is said."""
+    """Tubes only. This is the default object."""
     solid: bool = False
-    """The surface as a solid, or with --wall as a shell that is open where it stands."""
+    """The surface as a solid, or with --wall as a shell that is open at the bottom."""
     cells: bool = False
-    """Tubes along the edges of the volume's cells, with a base and a cavity; or --explode."""
+    """Tubes along the edges of the volume's cells, with a base and a cavity; with --explode, the
+    cells themselves."""
     height: Annotated[float, Length(), Range(10, 2000)] = 120.0
     """Height of the printed object, such as 120mm, 12cm or 4.7in."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
-    """Axis of the input that points up; auto: y for OBJ, PLY, OFF and GLB files, else z."""
+    """Axis of the input that points up. auto: y for OBJ, PLY, OFF and GLB files, else z."""
     edges: Literal["surface", "volume", "both"] | None = None
-    """Whose edges become tubes: the surface's, the volume's inner ones, or both (of the volume);
-    default: both for --cells, else surface."""
+    """Edges that become tubes: those of the surface, the inner ones of the volume, or both.
+    Default: both for --cells, else surface."""
     tube_diameter: Annotated[float, Length(), Range(0.1, 100)] | None = None
-    """Diameter of the tubes; default: 0.6 of the radius of the cells' faces, but 2.5 to 8
-    nozzle widths."""
+    """Diameter of the tubes. Default: 0.6 times the radius of the cells' faces, but 2.5 to 8 nozzle
+    widths."""
     cell_size: Annotated[float, Length(), Range(1, 500)] | None = None
-    """Width of the cells between the tubes on the surface; default in a lamp: a fifteenth of the
-    height, at least 20 nozzle widths, else those of the surface's own faces."""
+    """Width of the cells between the tubes. Default for a lamp: a fifteenth of the height, at least
+    20 nozzle widths; else the faces of the surface are the cells."""
     taper: Annotated[float, Range(0.1, 1)] = 1.0
-    """Diameter of the tubes at the top, over that at the bottom."""
+    """Diameter of the tubes at the top divided by that at the bottom."""
     sides: Annotated[int, Range(4, 64)] = 12
-    """Sides of a tube; its radius is enlarged so that the thinnest place is as asked for."""
+    """Number of sides of a tube. Its radius is enlarged so that its thinnest place has the wanted
+    diameter."""
     fillet: bool = False
-    """Round the corners where tubes meet; doubles triangles and time."""
+    """Round the corners where tubes meet. This doubles the number of triangles and the time."""
     merge: Annotated[float, Length(), Range(0, 100)] | None = None
-    """Edges shorter than this are contracted; default: the tube radius."""
+    """Contract edges shorter than this. Default: the radius of the tubes."""
     plates: Share | None = None
-    """Share of the faces that become solid plates; default 0.15 in a lamp, else none. Fewer where
-    less than 0.3 of the surface would stay open."""
+    """Share of the faces that become solid plates. Default: 0.15 for a lamp, else 0. There are
+    fewer plates if less than 0.3 of the surface would stay open."""
     plate_pattern: Literal["random", "even", "height", "checker"] = "random"
-    """Which faces: any, far from each other, more of them below, or by bands and sectors."""
+    """Which faces become plates: random ones, evenly spread ones, more of them at the bottom, or a
+    checkerboard."""
     plate_thickness: Annotated[float, Length(), Range(0.05, 20)] = 0.8
     """Thickness of the plates."""
     light: Literal["tea-light", "puck", "e14", "e27", "usb-bulb", "largest", "none"] | None = None
-    """The light: a tea light (default), a puck light, an E14 or E27 holder behind a ring, a bulb on
-    a cable, the widest cylinder that fits, or none."""
+    """The light: a tea light, a puck light, an E14 or E27 holder behind a ring, a bulb on a cable,
+    the widest cylinder that fits, or none. Default: tea-light."""
     light_diameter: Annotated[float, Length(), Range(3, 500)] | None = None
-    """Diameter of the light or bulb, in place of the preset's."""
+    """Diameter of the light or bulb. Default: that of --light."""
     light_height: Annotated[float, Length(), Range(1, 500)] | None = None
-    """Height of the light or bulb, in place of the preset's."""
+    """Height of the light or bulb. Default: that of --light."""
     clearance: Annotated[float, Length(), Range(0, 10)] = 0.5
-    """Room around the light."""
+    """Free space around the light."""
     wall: Annotated[float, Length(), Range(0.4, 20)] | None = None
-    """Wall of the cup around the light (default 1.6mm); with --solid, of the shell."""
+    """Thickness of the cup around the light (default 1.6 mm), or of the shell with --solid."""
     cable: Annotated[float, Length(), Range(0, 20)] | None = None
-    """Width of a channel for a cable; default: the light's."""
+    """Width of a channel for a cable. Default: that of --light."""
     base: Literal["auto", "footprint", "pedestal", "none"] = "auto"
-    """The shape cut flat, with the cavity inside it; a pedestal under it that holds the light; or
-    neither. auto: the first where the light fits, else the second."""
+    """footprint: the shape is cut flat, and the light is inside it. pedestal: the light is in a
+    stand under the shape. none: neither. auto: footprint if the light fits, else pedestal."""
     bayonet: bool = False
-    """Close the cavity with a lid that locks by a turn, a second body."""
+    """Close the cavity with a lid that locks by a turn. The lid is a second body."""
     trim: Annotated[float, Range(0.001, 0.5)] | None = None
-    """Share of the shape's height cut off for a flat base; default: 0.04 to 0.2, as the light
-    needs."""
+    """Share of the height that is cut off for a flat base. Default: 0.04 to 0.2, as much as the
+    light needs."""
     explode: Annotated[float, Range(1, 10)] = 1.0
-    """With --cells: the cells as separate bodies, this much further apart."""
+    """With --cells: make the cells separate bodies, this many times as far apart."""
     nozzle: Annotated[float, Length(), Range(0.1, 2)] = 0.4
-    """Nozzle width; tubes must be two of them thick."""
+    """Width of the nozzle. Tubes must be at least twice as thick."""
     layer: Annotated[float, Length(), Range(0.02, 1)] = 0.2
-    """Layer height; plates must be two of them thick."""
+    """Height of a layer. Plates must be at least twice as thick."""
     bed: str = "250x250x250"
-    """What the printer has room for, in mm."""
+    """Size of the printer's build space, in mm."""
     formats: str = ""
-    """Further files beside PLY, STL and 3MF: obj, glb (in metres, y up), with commas between."""
+    """Further files beside PLY, STL and 3MF, separated by commas: obj, glb (in metres, y up)."""
     slice: bool = False
-    """Slice the STL with PrusaSlicer, which must find nothing to mend; says filament and time."""
+    """Slice the STL with PrusaSlicer, which must find nothing to repair, and report filament and
+    time."""
     render: bool = False
-    """Draw the lamp with its light on, by path tracing (needs Mitsuba), to fabricate.png."""
+    """Draw the lamp with its light on to fabricate.png, by path tracing (needs Mitsuba)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -101,14 +105,16 @@ class Params(contract.Params):
             raise UsageError(f"--bed {self.bed}: must be width x depth x height, as 220x220x250")
         unknown = [name for name in self.wanted_formats if name not in FORMATS]
         if unknown:
-            raise UsageError(f"--formats {unknown[0]}: must be of {', '.join(FORMATS)}")
+            raise UsageError(f"--formats {unknown[0]}: must be one of {', '.join(FORMATS)}")
         self._check_combinations()
         if self.layer > self.nozzle:
-            raise UsageError(f"--layer {self.layer:g}: higher than the nozzle is wide; lower it")
+            raise UsageError(
+                f"--layer {self.layer:g}: is more than the width of the nozzle; lower it"
+            )
         if self.height > self.room[2]:
             raise UsageError(
-                f"--height {self.height:g}: the bed has room for {self.room[2]:g} mm; lower it, or "
-                "say what your printer has with --bed"
+                f"--height {self.height:g}: the printer has room for {self.room[2]:g} mm "
+                "only; lower it, or give the size of your printer with --bed"
             )
         if self.tube_diameter is not None:
             check_diameter(self.tube_diameter, self)
@@ -121,9 +127,11 @@ class Params(contract.Params):
                 )
         if self.light not in (None, "none"):
             if self.mode not in ("lamp", "cells") or self.explode > 1:
-                raise UsageError("--light: only --lamp and --cells have one; leave it out")
+                raise UsageError("--light: only --lamp and --cells have a light; leave it out")
             if self.base == "none":
-                raise UsageError("--base none: holds no light; say --light none, or another --base")
+                raise UsageError(
+                    "--base none: leaves no place for a light; use --light none, or another --base"
+                )
         if self.light_height is not None and self.light_height > self.height:
             raise UsageError(
                 f"--light-height {self.light_height:g}: higher than the object; lower it or raise "
@@ -133,21 +141,21 @@ class Params(contract.Params):
             raise UsageError("--explode: only cells can be drawn apart; add --cells")
 
     def _check_combinations(self) -> None:
-        """Options that would be ignored are refused."""
+        """Refuse options that would have no effect."""
         defaults = {field.name: field.default for field in fields(self)}
         lit = self.mode in ("lamp", "cells") and self.explode == 1
         for here, why, names in (
             (
                 lit and self.light != "none" and self.base != "none",
-                "there is no light",
+                "the object has no light",
                 ("bayonet", "cable", "light_diameter", "light_height"),
             ),
-            (lit or self.mode == "solid", "it gets no base", ("base", "trim")),
-            (lit or self.mode == "solid", "it has no wall", ("wall",)),
+            (lit or self.mode == "solid", "the object has no base", ("base", "trim")),
+            (lit or self.mode == "solid", "the object has no wall", ("wall",)),
             (self.base != "none", "nothing is cut off without a base", ("trim",)),
             (
                 self.mode != "solid" and self.explode == 1,
-                "there are no tubes",
+                "the object has no tubes",
                 ("tube_diameter", "taper", "fillet", "merge", "edges", "plates"),
             ),
             (
@@ -155,15 +163,24 @@ class Params(contract.Params):
                 "the tubes do not run along the surface",
                 ("cell_size",),
             ),
-            (self.light != "largest", "the largest is looked for", ("light_diameter",)),
+            (
+                self.light != "largest",
+                "only --light largest finds the diameter itself",
+                ("light_diameter",),
+            ),
         ):
             for name in names:
                 if not here and getattr(self, name) != defaults[name]:
                     raise UsageError(f"--{name.replace('_', '-')}: {why}; leave it out")
         if self.light == "largest" and self.base == "pedestal":
-            raise UsageError("--light largest: is looked for in the shape; take another --base")
+            raise UsageError(
+                "--light largest: the light is placed inside the shape, not in a pedestal; use "
+                "another --base"
+            )
         if 1 < self.explode < 1.01:
-            raise UsageError(f"--explode {self.explode:g}: the cells would touch; at least 1.01")
+            raise UsageError(
+                f"--explode {self.explode:g}: the cells would touch; use at least 1.01"
+            )
 
     @property
     def mode(self) -> str:
@@ -172,7 +189,7 @@ class Params(contract.Params):
 
     @property
     def room(self) -> tuple[float, float, float]:
-        """What the printer has room for, in mm."""
+        """Size of the printer's build space, in mm."""
         x, y, z = map(float, self.bed.split("x"))
         return x, y, z
 
@@ -191,7 +208,8 @@ class Params(contract.Params):
 
     @property
     def cell_width(self) -> float | None:
-        """Of the cells on the surface in mm; None where they are its own faces."""
+        """Width of the cells on the surface in mm; None if the surface's own faces are the
+        cells."""
         if self.cell_size is None and self.mode == "lamp" and self.which_edges == "surface":
             return max(self.height / CELLS, 20 * self.nozzle)
         return self.cell_size
@@ -219,6 +237,6 @@ def check_diameter(diameter: float, params: Params) -> None:
         )
     if params.plate_share > 0 and params.plate_thickness > diameter * params.taper + 1e-9:
         raise UsageError(
-            f"--plate-thickness {params.plate_thickness:g}: thicker than the tubes "
-            f"({diameter * params.taper:g} mm) that hold the plates; lower it"
+            f"--plate-thickness {params.plate_thickness:g}: thicker than the tubes around "
+            f"the plates ({diameter * params.taper:g} mm); lower it"
         )

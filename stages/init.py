@@ -1,4 +1,4 @@
-"""Stage init: generators around the boundary, and the first Voronoi surface.
+"""Stage init: fit the first Voronoi surface to the shape.
 
 Example:
     >>> from vorolight.stages import init, pipeline
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from .voronoi.cleanup import CleanSurface
 
 JITTER = 1e-3
-"""Standard deviation of what is added to the paper's first generators, in voxels."""
+"""Standard deviation of the noise that is added to the paper's first generators, in voxels."""
 LEVELS, MOST = 3, 60_000
-"""How often voxels are divided where the shape is thin, until the topology is the input's, as long
-as there are not more generators than this or than twice as many as at first."""
+"""How often voxels are divided where the shape is thin, until the surface has the input's topology.
+It ends when there are more generators than MOST and more than twice as many as at first."""
 PATIENCE = 10
-"""Iterations without gain after which the rest is left."""
+"""Iterations without gain after which the loop ends."""
 WORSE, NEAR = 2.0, 1e-3
-"""Factor by which the iterations may raise the shape's loss, and a loss below which that is nothing
-to speak of."""
+"""A warning is given if the iterations raise the shape loss by more than the factor WORSE, unless
+it stays below NEAR."""
 SPECK = 0.1
 """Components that enclose less than this many voxels are removed."""
 
@@ -56,8 +56,8 @@ DEFAULTS: dict[str, dict[str, float]] = {
         "weight_area": 0.1,
     },
 }
-"""What an option that is not given is, by start. Mirrored generators are near the shape already:
-the paper's weights would trade that for even faces."""
+"""Defaults of options by the kind of start. Mirrored generators are close to the shape already; the
+paper's weights would give that up for even faces."""
 
 
 @dataclass(frozen=True)
@@ -65,28 +65,29 @@ class Params(contract.Params):
     """Options of the init stage."""
 
     start: Literal["surface", "voxels"] = "surface"
-    """First generators: mirrored in the true surface, or in the voxels' boundary as the paper."""
+    """Where the first generators are mirrored: in the true surface, or in the boundary of the
+    voxels as in the paper."""
     iterations: Annotated[int, Range(0, 100_000)] = 20
-    """Adam iterations on the generators at most, with a diagram each; ten that win nothing end
-    them."""
+    """Maximum number of Adam iterations on the generators. They end early after ten iterations
+    without gain."""
     learning_rate: Positive | None = None
-    """Adam step, in units of the voxel edge h0: 0.01, from voxels 0.02."""
+    """Step of Adam, in units of the voxel edge h0. Default: 0.01, or 0.02 with --start voxels."""
     weight_shape: Positive | None = None
-    """Weight of the shape loss: 100, from voxels 1."""
+    """Weight of the shape loss. Default: 100, or 1 with --start voxels."""
     weight_normal: Positive | None = None
-    """Weight of normal consistency: 5, from voxels 0.1."""
+    """Weight of normal consistency. Default: 5, or 0.1 with --start voxels."""
     weight_area: Positive | None = None
-    """Weight of area uniformity: 0.01, from voxels 0.1."""
+    """Weight of area uniformity. Default: 0.01, or 0.1 with --start voxels."""
     weight_centroid: Positive = 0.1
     """Weight of centroid alignment."""
     shape_loss: Literal["distance", "level-set", "chamfer", "images"] = "distance"
-    """Distance to the surface, or the paper's: level-set for fields, Chamfer for meshes, masks and
-    normals of images for views."""
+    """The shape loss: distance to the surface, or a loss of the paper: level-set for fields,
+    chamfer for meshes and points, images for views."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
-    """Points sampled on an input mesh for the Chamfer loss."""
+    """Number of points sampled on a mesh for the Chamfer loss."""
 
     def value(self, name: str) -> float:
-        """What was given for ``name``, or its default."""
+        """The given value of ``name``, or its default."""
         given = getattr(self, name)
         return float(DEFAULTS[self.start][name] if given is None else given)
 
@@ -148,7 +149,9 @@ def run(context: Context) -> Outcome:
         first = as_surface(start)
         if as_expected(first[-1]):
             trained, labels, islands, surface, facts = first
-            warnings.append("the iterations spoiled the surface's topology and were undone")
+            warnings.append(
+                "the iterations changed the topology of the first surface, so they were undone"
+            )
     mesh = surface.mesh.with_vertices(frame.input_from_model(surface.mesh.vertices))
     if len(history) and history[-1, 0] > max(WORSE * history[0, 0], NEAR):
         warnings.append(
@@ -157,13 +160,14 @@ def run(context: Context) -> Outcome:
         )
     if islands:
         warnings.append(
-            f"{islands} specks smaller than {SPECK:g} voxels were removed from the surface"
+            f"{islands} components smaller than {SPECK:g} voxels were removed from the first "
+            "surface"
         )
     if expected is not None and not as_expected(facts):
         warnings.append(
-            f"this first surface has Euler number {facts.euler_number} and {facts.components} "
-            f"components, the input {expected[0]} and {expected[1]}: sphere-train starts from the "
-            "input's triangles in its place; only --preset paper needs a larger -n"
+            f"the first surface has Euler number {facts.euler_number} and {facts.components} "
+            f"components, but the input has {expected[0]} and {expected[1]}: sphere-train "
+            "starts from the input's triangles instead; with --preset paper, raise -n"
         )
     return Outcome(
         arrays={
@@ -201,7 +205,7 @@ def surface_losses(
     shape_loss: ShapeLoss | ImageLoss,
     iteration: int = 0,
 ) -> dict[str, torch.Tensor]:
-    """The losses of the interface of ``generators (N, 3)``, in a diagram of their own."""
+    """The losses of the interface of ``generators (N, 3)``, for which a new diagram is computed."""
     import torch
 
     from .losses import regularization, shape
@@ -228,8 +232,8 @@ def surface_losses(
 def _first_generators(
     context: Context, grid: VoxelGrid, frame: ModelFrame
 ) -> tuple[Floats, NDArray[np.bool_], int, tuple[int, int] | None]:
-    """Generators in model units, their labels, how often voxels were divided, and the input's
-    Euler number and components if they are known."""
+    """Generators in model units, their labels, how often voxels were divided, and the input's Euler
+    number and components if they are known."""
     import numpy as np
 
     from .surface.topology import topology
@@ -242,8 +246,8 @@ def _first_generators(
     expected = source.topology()
     if context.params.start == "voxels":
         start, inside = reflect(grid)
-        # Mirrored in a flat face the lattice of voxel centres goes on as a lattice, whose
-        # tetrahedra have no circumcentre to differentiate; a thousandth of a voxel off it they do.
+        # Voxel centres mirrored in a flat face form a lattice again. Its tetrahedra have no unique
+        # circumcentre to differentiate; a shift of a thousandth of a voxel prevents this.
         start = start + JITTER * grid.spacing * context.random("jitter").standard_normal(
             start.shape
         )
@@ -261,7 +265,7 @@ def _first_generators(
             continue
         kept = np.zeros(len(start), dtype=bool)
         kept[raw.generators] = True
-        kept[-FAR:] = True  # while the others move, these bound the diagram
+        kept[-FAR:] = True  # These stay fixed and bound the diagram while the others move.
         facts = topology(clean(raw, spacing=1.0).mesh)
         wrong = 0
         if expected is not None:
@@ -272,14 +276,14 @@ def _first_generators(
             break
     if best is None:
         raise InputError(
-            f"{source.path or source.name}: the shape is so thin everywhere that no generator lies "
-            f"inside, with voxels of {grid.spacing:.4g}: raise -n"
+            f"{source.path or source.name}: the shape is thinner than the voxels "
+            f"({grid.spacing:.4g}) everywhere, so no generator lies inside; raise -n"
         )
     return *best[1:], expected
 
 
 def _memory(context: Context) -> float:
-    # About as many generators as voxels of the exterior band.
+    # There are about as many generators as voxels in the exterior band.
     return peak(600.0, 400.0, 12.0, float(context.arrays("classify")["exterior"].sum()))
 
 

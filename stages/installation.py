@@ -1,5 +1,5 @@
-"""Checks of what is installed: versions against the bounds that vorolight declares, and whether
-each library does here what it is needed for."""
+"""Checks of the installation: versions against the declared bounds, and one real use of each
+library."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ENABLES = {
     "scans": "point clouds in LAS, LAZ and E57",
     "cluster": "tables as .parquet, workflows on many machines",
 }
-"""What each extra is for; those of developers are left out."""
+"""The purpose of each extra; extras for developers are left out."""
 
 
 def python(folder: Path) -> Iterator[Finding]:
@@ -42,7 +42,7 @@ def release(version: str) -> tuple[int, ...]:
 
 
 def requirements(extra: str | None) -> list[tuple[str, str]]:
-    """Names and lowest versions that vorolight declares to need, or for ``extra``."""
+    """Names and lowest versions of the declared dependencies, or of those of ``extra``."""
     found = []
     for text in metadata.requires("vorolight") or []:
         wanted, _, marker = text.partition(";")
@@ -56,7 +56,7 @@ def requirements(extra: str | None) -> list[tuple[str, str]]:
 def libraries(folder: Path) -> Iterator[Finding]:
     for name, least in requirements(None):
         there = _version(name)
-        advice = f"type: pip install --upgrade '{name}>={least}'"
+        advice = f"run: pip install --upgrade '{name}>={least}'"
         if there is None:
             yield Finding(name, f"not installed (>= {least})", "problem", advice)
         elif release(there) < release(least):
@@ -73,7 +73,7 @@ def extras(folder: Path) -> Iterator[Finding]:
             lacking |= there is None or release(there) < release(least)
             said.append(f"{name} {there or 'not installed'}")
         found = f"{', '.join(said)}: {purpose}"
-        advice = f"if wanted, type: pip install --upgrade 'vorolight[{extra}]'"
+        advice = f"to use it, run: pip install --upgrade 'vorolight[{extra}]'"
         yield Finding(
             f"extra {extra}", found, "note" if lacking else "ok", advice if lacking else None
         )
@@ -116,31 +116,31 @@ def _mean(values: Any) -> float:
 
 
 def kernels(folder: Path) -> Iterator[Finding]:
-    """Compiles a loop as the others are, and takes away what that leaves in the cache."""
+    """Compile a loop, and remove what that leaves in the cache."""
     import numpy as np
 
     from .compiled import compiled
 
     began = time.perf_counter()
     kernel: Any = compiled(_mean)
-    _expect(kernel(np.arange(5.0)) == 2.0, "a compiled loop computes another mean")
+    _expect(kernel(np.arange(5.0)) == 2.0, "a compiled loop computes a wrong mean")
     took = f"compiled in {time.perf_counter() - began:.1f} s"
     place = kernel.stats.cache_path
     if place is None:
         advice = "set NUMBA_CACHE_DIR to a folder that can be written to"
         yield Finding(
-            "compiled loops", f"{took}, not kept: compiled anew each time", "note", advice
+            "compiled loops", f"{took}, not stored: every process compiles again", "note", advice
         )
         return
     kept = [*Path(place).glob(f"{Path(__file__).stem}.{_mean.__name__}-*")]
     for file in kept:
         file.unlink(missing_ok=True)
-    _expect(bool(kept), f"{place}: nothing was kept of a compiled loop")
-    yield Finding("compiled loops", f"{took}, kept in {place}")
+    _expect(bool(kept), f"{place}: no compiled loop was stored")
+    yield Finding("compiled loops", f"{took}, stored in {place}")
 
 
 def torch_operations(folder: Path) -> Iterator[Finding]:
-    """Operations that training uses, in the way that gives the same bits every time."""
+    """Check operations of the training in the mode that gives the same bits every time."""
     import torch
 
     from . import standing, torch_start
@@ -155,9 +155,9 @@ def torch_operations(folder: Path) -> Iterator[Finding]:
         made.append(torch.cat([total, *torch.autograd.grad(torch.sin(total).sum(), values)]))
     _expect(
         all(torch.equal(made[0], other) for other in made),
-        "the same operations give other bits when repeated",
+        "repeated operations give different bits",
     )
-    _expect(bool((made[0][50:] != 0).any()), "no gradient arrives")
+    _expect(bool((made[0][50:] != 0).any()), "gradients are missing")
     yield Finding("torch operations", f"repeat their bits, {torch.get_num_threads()} threads")
 
 
@@ -208,7 +208,8 @@ def hdf5(folder: Path) -> Iterator[Finding]:
 
 
 def repair(folder: Path) -> Iterator[Finding]:
-    """By pymeshlab, in its own child process: a tetrahedron without a face is closed."""
+    """Repair with pymeshlab, in its own child process: it must close a tetrahedron that lacks a
+    face."""
     import numpy as np
 
     from .sources.repair_child import repaired

@@ -1,4 +1,4 @@
-"""Checks of the machine: processors, memory, GPU, the place for runs, programs beside vorolight."""
+"""Checks of the machine: processors, memory, GPU, the folder for runs, and optional programs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .doctor import Finding
 from .errors import BackendMissing, UsageError
 
 ENOUGH_GB, LEAST_GB = 3.0, 0.6
-"""Memory for a whole run of the default size, and what its first stages take."""
+"""Memory for a whole run of the default size, and for its first stages, in GB."""
 ROOM_GB, LEAST_ROOM_GB = 2.0, 0.1
-"""Free space for a few runs, and for one."""
+"""Free disk space for a few runs, and for one, in GB."""
 NETWORK = {
     "9p", "afs", "beegfs", "ceph", "cifs", "fuse.glusterfs", "fuse.sshfs", "gpfs", "lustre", "nfs",
     "nfs4", "panfs", "pvfs2", "smb3", "smbfs", "wekafs",
 }  # fmt: skip
-"""Kinds of file systems that other machines may write to at the same time."""
+"""Kinds of file systems to which other machines may write at the same time."""
 VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -30,7 +30,7 @@ def threads(folder: Path) -> Iterator[Finding]:
     said = [f"{allowed} of {os.cpu_count()} cores for this process"]
     said += [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
     if quota is not None and quota < allowed:
-        said.append(f"its container grants the time of {quota:.3g}")
+        said.append(f"the container may use the time of {quota:.3g} cores")
         advice = f"give --threads {max(1, int(quota))}"
         yield Finding("threads", ", ".join(said), "note", advice)
     else:
@@ -59,7 +59,9 @@ def memory_there(folder: Path) -> Iterator[Finding]:
     if free < LEAST_GB:
         yield Finding("memory", said, "problem", "end other programs, or use another machine")
     elif free < ENOUGH_GB:
-        yield Finding("memory", said, "note", "enough for small runs: lower -n if one is refused")
+        yield Finding(
+            "memory", said, "note", "enough for small runs; lower -n if a stage is refused"
+        )
     else:
         yield Finding("memory", said)
 
@@ -78,20 +80,22 @@ def disk(folder: Path) -> Iterator[Finding]:
     room, kind = shutil.disk_usage(place).free / 1e9, _file_system(place)
     said = f"{room:.1f} GB free in {place}"
     if room < LEAST_ROOM_GB:
-        yield Finding("disk", said, "problem", "make room, or write elsewhere with --run")
+        yield Finding(
+            "disk", said, "problem", "free some space, or choose another folder with --run"
+        )
     elif room < ROOM_GB:
         yield Finding("disk", said, "note", "enough for small runs only")
     else:
         yield Finding("disk", said)
     if kind in NETWORK:
-        advice = "one run folder is for one process at a time, on whichever machine"
+        advice = "only one process may work on a run folder at a time, on whichever machine"
         yield Finding("file system", f"{kind}, over the network", "note", advice)
     else:
         yield Finding("file system", kind or "of unknown kind", "ok" if kind else "note")
 
 
 def _existing(folder: Path) -> Path:
-    """``folder``, or the one that it would be created in."""
+    """``folder``, or the existing folder in which it would be created."""
     place = folder.resolve()
     while not place.is_dir():
         place = place.parent
@@ -107,7 +111,7 @@ def _file_system(place: Path) -> str | None:
 
 
 def files(folder: Path) -> Iterator[Finding]:
-    """Writes files as runs do, in a folder of its own that is gone afterwards."""
+    """Write files as runs do, in a temporary folder."""
     place = _existing(folder)
     try:
         with tempfile.TemporaryDirectory(prefix=".vorolight-doctor-", dir=place) as name:
@@ -115,7 +119,7 @@ def files(folder: Path) -> Iterator[Finding]:
             for content in (b"first", b"second"):
                 atomic.write(trial, content)
             if trial.read_bytes() != b"second":
-                raise OSError("a file that was replaced is as before")
+                raise OSError("replacing a file had no effect")
             with lock.locked(Path(name)):
                 pass
             try:
@@ -124,14 +128,17 @@ def files(folder: Path) -> Iterator[Finding]:
             except OSError:
                 links = ""
     except (OSError, UsageError) as error:
-        reason = f"{place}: runs cannot be written ({error})"
-        yield Finding("files", reason, "problem", "write elsewhere with --run")
+        reason = f"{place}: runs cannot be written there ({error})"
+        yield Finding("files", reason, "problem", "choose another folder with --run")
         return
     said = f"{place}: writing, fsync, renaming{links} and locks work"
     if links:
         yield Finding("files", said)
     else:
-        advice = "without hard links a lock may be found empty: do not start a run twice at once"
+        advice = (
+            "without hard links two processes might take the same lock: do not start a run "
+            "twice at once"
+        )
         yield Finding("files", said, "note", advice)
 
 

@@ -1,4 +1,4 @@
-"""What memory a stage will need, what there is, and a refusal where that is less."""
+"""Estimate the memory that a stage will need, and refuse a stage that needs more than there is."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from .errors import UsageError
 
 CONTROL_GROUP = Path("/sys/fs/cgroup")
-"""Where Linux says what a container may use."""
+"""Where Linux gives the memory limit of a container."""
 
 
 def free_mb() -> float:
-    """Memory that this process may still take, in MB: the machine's or its container's."""
+    """Memory that this process may still use, in MB: that of the machine or of its container."""
     import psutil
 
     free = float(psutil.virtual_memory().available)
@@ -26,22 +26,22 @@ def free_mb() -> float:
 
 
 def require(stage: str, needed_mb: float, most_mb: float | None) -> None:
-    """Raises UsageError when ``needed_mb`` is more than ``most_mb``, or than there is (None)."""
+    """Raises UsageError if ``needed_mb`` is more than ``most_mb``, or than is free (None)."""
     limit = free_mb() if most_mb is None else most_mb
     if needed_mb <= limit:
         return
     have = (
-        f"{limit / 1000:.1f} GB are free: use another machine, or take the risk with --max-memory"
+        f"only {limit / 1000:.1f} GB are free: lower -n, use a machine with more memory, or "
+        "allow it with --max-memory"
         if most_mb is None
-        else f"--max-memory is {limit / 1000:.1f}: raise it"
+        else f"--max-memory allows {limit / 1000:.1f} GB: lower -n, or raise it"
     )
-    raise UsageError(
-        f"{stage}: needs about {needed_mb / 1000:.1f} GB of memory and {have}, or lower -n"
-    )
+    raise UsageError(f"{stage}: needs about {needed_mb / 1000:.1f} GB of memory, but {have}")
 
 
 def peak(least: float, start: float, each: float, count: float) -> float:
-    """MB: ``start`` and ``each`` kB for every one of ``count``, but ``least`` while libraries load.
+    """MB: ``start`` and ``each`` kB for each of ``count``, but at least ``least``, which loading
+    libraries takes.
 
     The figures of the stages are fits to what ``make bench-stages`` measures, rounded up.
     """
@@ -49,9 +49,9 @@ def peak(least: float, start: float, each: float, count: float) -> float:
 
 
 def peak_mb() -> float | None:
-    """Peak resident memory of this process so far, in MB; None where the system does not tell."""
+    """Peak resident memory of this process so far, in MB; None if the system does not report it."""
     try:
-        # Not from getrusage: what that says outlives exec, so it may be the parent's memory.
+        # Not getrusage: its value survives exec, so it may be the memory of the parent process.
         lines = Path("/proc/self/status").read_text(encoding="ascii", errors="replace").split("\n")
         return round(next(float(x.split()[1]) for x in lines if x.startswith("VmHWM")) / 1024, 1)
     except (OSError, StopIteration):

@@ -1,4 +1,4 @@
-"""Running stages, and the commit of a finished one."""
+"""Run stages, and commit the result of a finished one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from .standing import (
 
 @dataclass(frozen=True)
 class Result:
-    """A finished stage: its manifest, and whether it ran now or stood already."""
+    """A finished stage: its manifest, and whether it ran now or was up to date."""
 
     manifest: manifest.Manifest
     ran: bool
@@ -44,10 +44,10 @@ class Result:
 
 
 def execute(session: Session, name: str, params: Params) -> Result:
-    """Run a stage unless its result stands; its parents must stand.
+    """Run a stage unless its result is up to date. Its parents must be up to date.
 
-    Raises ArtifactError when a parent is missing or stale, and whatever the stage raises. Nothing
-    is left of a stage that failed but its checkpoints; an older result of it stays.
+    Raises ArtifactError if a parent is missing or stale, and whatever the stage raises. A stage
+    that failed leaves nothing but its checkpoints; an older result of it stays.
     """
     requeue.stop_if_asked()
     check_same_input(session.folder, session.input)
@@ -61,7 +61,7 @@ def execute(session: Session, name: str, params: Params) -> Result:
     if source is None:
         raise UsageError("give an INPUT: a mesh file or the name of a built-in field")
     if name == "classify":
-        opened = source.open()  # a bad input is refused before anything is written
+        opened = source.open()  # Refuse a bad input before anything is written.
         sources: Callable[[], Any] = lambda: opened  # noqa: E731
     else:
         sources = cache(partial(_open_recorded, session.folder, source))
@@ -82,21 +82,21 @@ def execute(session: Session, name: str, params: Params) -> Result:
 
 
 def _tidy(run: RunFolder, stem: str, digest: str) -> None:
-    """Remove what a process that was killed after its result was written had no time for."""
+    """Remove files that a killed process left behind after its result was written."""
     checkpoints, staging = run.checkpoints(stem, digest), run.path / f".{stem}{atomic.STAGING}"
     dead = (run.path / lock.NAME).exists() and lock.holder(run.path) is None
     place = checkpoints.folder.parent
     empty = place.parent.exists() and not any(place.parent.iterdir())
     if not (dead or staging.exists() or place.exists() or empty):
         return
-    # Where another process is at work, or nothing can be written, what is left is in nobody's way.
+    # If another process is running, or nothing can be written, the leftover files do no harm.
     with contextlib.suppress(Locked, UsageError), lock.locked(run.path):
         atomic.sweep(run.path)
         checkpoints.clear()
 
 
 def _remove_unused(run: RunFolder, created: list[Path]) -> None:
-    """Remove folders that were ``created`` for a stage that left nothing but a log."""
+    """Remove the folders in ``created`` if the stage left nothing but a log."""
     if run.path in created and {entry.name for entry in run.path.iterdir()} <= {log.FOLDER}:
         shutil.rmtree(run.path / log.FOLDER, ignore_errors=True)
     for folder in created:
@@ -105,7 +105,8 @@ def _remove_unused(run: RunFolder, created: list[Path]) -> None:
 
 
 def _standing(session: Session, stage: Stage, params: Params) -> Result | None:
-    """The result of a stage if it stands. Raises ArtifactError when a parent does not."""
+    """The result of a stage if it is up to date, else None. Raises ArtifactError if a parent is
+    not."""
     for parent in stage.parents(params):
         found = state(session, parent)
         if not found.done:
@@ -134,7 +135,8 @@ def _check_device(device: str) -> None:
 def _open_recorded(folder: RunFolder, source: Identity) -> Any:
     if source.path is not None and not source.path.exists():
         raise InputError(
-            f"{source.path}: the input of {folder.path} is gone; put it back or give it as INPUT"
+            f"{source.path}: the input of {folder.path} is missing; restore it, or give its "
+            "new path as INPUT"
         )
     return source.open(folder.arrays("classify", "classify"))
 
@@ -203,7 +205,7 @@ def _outcome(
     from .voronoi.delaunay import backend
 
     try:
-        # Results may depend on the threads, so these are what was asked for, everywhere.
+        # Results may depend on the number of threads, so every library gets exactly this number.
         with threadpool_limits(session.threads, "blas"), backend(session.backend) as used:
             outcome = stage.run(context)
     finally:
@@ -263,8 +265,8 @@ def _outcome(
         encoded = manifest.encode(manifest.clean_numbers(record))
         staged_manifest = staging / f"{stem}.json"
         atomic.write(staged_manifest, encoded)
-        # All is on the disk, so what is left to do needs no more of it. From here to the last move
-        # the stage counts as not done.
+        # Everything is on the disk now, so the rest needs no more space. Until the last move the
+        # stage counts as not done.
         _remove_left_over(session.folder, stem, set(staged))
         for path in [*staged.values(), staged_manifest]:
             atomic.move(path, session.folder.path / path.name)
@@ -275,8 +277,10 @@ def _outcome(
 
 
 def _remove_left_over(folder: RunFolder, stem: str, roles: set[str]) -> None:
-    """Remove files that the manifest lists and the new one will not, before that manifest goes:
-    after a crash it still tells of them."""
+    """Remove files that the old manifest lists and the new one does not.
+
+    This happens while the old manifest still exists, so that they are known after a crash.
+    """
     for entry in (folder.manifest(stem) or {}).get("outputs", []):
         path = folder.path / str(entry["path"])
         if entry["role"] not in roles and path.name == f"{stem}.{entry['role']}":
@@ -302,7 +306,7 @@ def _frame(folder: RunFolder) -> dict[str, Any]:
 
 
 def command_line(session: Session, stage: Stage, params: Params, source: Identity) -> str:
-    """A command line that repeats a stage, from the folder that holds the run folder."""
+    """A command line that runs a stage again, from the folder that contains the run folder."""
     words = ["vorolight", stage.name, *_arguments(stage, params)]
     if stage.name == "classify":
         if source.path is not None:

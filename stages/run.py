@@ -30,17 +30,6 @@ SURFACES = ("sphere-train", "init")
 """Stages that write a surface, the later one first."""
 
 
-def stages_until(until: str, kind: str) -> list[str]:
-    """The stages of a run of an input of this ``kind``, in order, the last one being ``until``.
-
-    Raises UsageError for what is no stage of a whole run.
-    """
-    if until not in standing.ORDER:
-        raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
-    stages = standing.ORDER[: standing.ORDER.index(until) + 1]
-    return [name for name in stages if name != "shade" or kind == "views"]
-
-
 @dataclass(frozen=True)
 class Run:
     """What a run left in its ``folder``. Lengths are in the units of the input."""
@@ -140,7 +129,7 @@ def run(
     ``shape`` is a path or the name of a field, as INPUT of the command line; a mesh as an object
     with ``vertices`` and ``faces`` (trimesh), as VTK's polygon data (pyvista), or as a tuple
     ``(vertices (V, 3), faces (F, k))``; points ``(N, 3)``; or samples of a field on a grid
-    ``(X, Y, Z)``, negative inside. What is no path is written into the run folder first.
+    ``(X, Y, Z)``, negative inside. An object is written into the run folder first.
 
     ``folder`` is the run folder: by default that of the command line for a path or a name, and a
     temporary one, which is deleted with the result, for anything else. ``n`` is the number of
@@ -163,7 +152,7 @@ def run(
             lent = tempfile.TemporaryDirectory(prefix="vorolight-")
         place = RunFolder(Path(lent.name if lent else folder or ""))
         source = _written(shape, place.path, kind)
-    names = stages_until(until, source.kind)
+    names = standing.stages_until(until, source.kind)
     planned = _planned(names, n, options)
     session = standing.Session(
         folder=place,
@@ -182,11 +171,13 @@ def run(
 def _planned(
     names: list[str], n: int | None, options: Mapping[str, Mapping[str, Any] | Params]
 ) -> dict[str, Params]:
-    """The Params of each stage. Raises UsageError for what is no stage or no option of it."""
+    """The Params of each stage. Raises UsageError for an unknown stage or option."""
     given = {key.replace("_", "-"): value for key, value in options.items()}
     for name in given:
         if name not in names:
-            raise UsageError(f"{name}: is no stage of this run; its stages are {', '.join(names)}")
+            raise UsageError(
+                f"{name}: is not a stage of this run; its stages are {', '.join(names)}"
+            )
     planned = {}
     for name in names:
         wanted = given.get(name, {})
@@ -206,7 +197,9 @@ def _params(name: str, values: Mapping[str, Any]) -> Params:
     known = {option.name for option in options(stage.params)}
     unknown = sorted(set(values) - known)
     if unknown:
-        raise UsageError(f"{name}: {unknown[0]} is none of its options: {', '.join(sorted(known))}")
+        raise UsageError(
+            f"{name}: {unknown[0]} is not one of its options: {', '.join(sorted(known))}"
+        )
     return stage.params(**values)
 
 
@@ -223,8 +216,8 @@ def _written(shape: Any, folder: Path, kind: str | None) -> Identity:
         values = np.asarray(shape)
         if values.dtype.kind not in "fiu" or values.ndim not in (2, 3):
             raise UsageError(
-                f"shape: a {type(shape).__name__} is no path, mesh, (N, 3) points or (X, Y, Z) "
-                "samples; give one of these"
+                f"shape: a {type(shape).__name__} is not a path, a mesh, (N, 3) points "
+                "or (X, Y, Z) samples; give one of these"
             )
         buffer = io.BytesIO()
         np.save(buffer, values, allow_pickle=False)
@@ -242,13 +235,14 @@ def _as_mesh(shape: Any) -> PolygonMesh | None:
     if isinstance(shape, PolygonMesh):
         return shape
     if hasattr(shape, "GetPolys"):
-        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.util import numpy_support
 
+        to_numpy: Any = numpy_support.vtk_to_numpy
         polygons = shape.GetPolys()
         return PolygonMesh(
-            vtk_to_numpy(shape.GetPoints().GetData()).astype(np.float64),
-            vtk_to_numpy(polygons.GetOffsetsArray()).astype(np.int64),
-            vtk_to_numpy(polygons.GetConnectivityArray()).astype(np.int64),
+            to_numpy(shape.GetPoints().GetData()).astype(np.float64),
+            to_numpy(polygons.GetOffsetsArray()).astype(np.int64),
+            to_numpy(polygons.GetConnectivityArray()).astype(np.int64),
         )
     if isinstance(shape, tuple) and len(shape) == 2:
         vertices, faces = shape
@@ -277,4 +271,4 @@ class _Reported(Silent):
     def advance(self, done: int, note: str = "") -> None:
         share = 1.0 if self.total == 0 else min(done / self.total, 1.0)
         if self.tell(self.stage, self.label, share) is False:
-            raise Stopped("stopped by its caller; the same call goes on from the last checkpoint")
+            raise Stopped("stopped by its caller; the same call continues from the last checkpoint")

@@ -1,4 +1,4 @@
-"""Stage shade: the appearance of views, on the surface as it is.
+"""Stage shade: learn the colours of the surface from the views.
 
 Example:
     >>> from vorolight.stages import pipeline, shade
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from .surface.polygons import Floats, Ints, PolygonMesh
 
 SHARE, MOST = 0.75, 8_000
-"""Of the valid pixels of a view that a step looks at, and how many at most."""
+"""Share of the valid pixels of a view that a step uses, and their largest number."""
 CHECKPOINT_EVERY = 20
 ELEVATION = 15.0
-"""Of the cameras of an orbit, in degrees."""
+"""Elevation of the cameras of an orbit, in degrees."""
 SAMPLES = 2
-"""Rays a pixel of a picture, along each side."""
+"""Number of rays for each pixel, along each side."""
 WORTH_SAYING = 0.01
-"""Share of the surface."""
+"""Share of the surface from which on a warning is given."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,18 @@ class Params(contract.Params):
     """Options of the shade stage."""
 
     iterations: Annotated[int, Range(0, 1_000_000)] = 2000
-    """Adam steps, one view each."""
+    """Number of Adam steps, each on one view."""
     learning_rate: Positive = 1e-3
-    """Adam step; decays to 0 as a cosine."""
+    """First step of Adam. It falls to 0 along a cosine."""
     width: Annotated[int, Range(8, 1024)] = 128
-    """Neurons in a layer."""
+    """Number of neurons in a layer."""
     held_out: Annotated[int, Range(0, 10_000)] | None = None
-    """Views that are not trained on but measured: by default an eighth, at most 8; none of six."""
+    """Number of views that are only used to measure the result. Default: an eighth of them, at most
+    8, and none if there are six views."""
     render: Literal["none", "orbit"] = "none"
-    """orbit: pictures of a way around the object, PNG each, and an animation (GIF)."""
+    """orbit draws pictures from all around the object (PNG) and an animation (GIF)."""
     frames: Annotated[int, Range(2, 1000)] = 36
-    """Pictures of the orbit."""
+    """Number of pictures of the orbit."""
     size: Annotated[int, Range(16, 4096)] = 384
     """Pixels along a side of the orbit's pictures."""
 
@@ -67,7 +68,8 @@ class Geometry:
     normals: Floats
 
     def seen(self, camera: Camera) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-        """Rows, columns, points, unit normals and unit rays of what ``camera`` sees."""
+        """Rows, columns, points, unit normals and unit rays of the pixels in which ``camera`` sees
+        the surface."""
         import numpy as np
 
         from .render.drawing import fragments
@@ -83,7 +85,7 @@ class Geometry:
         return hit.rows, hit.columns, point, normal, rays
 
     def unseen(self, cameras: Sequence[Camera]) -> float:
-        """Share of the surface, by area, that none of the ``cameras`` sees."""
+        """Share of the surface, by area, that none of ``cameras`` sees."""
         import numpy as np
 
         from .losses.images import visible
@@ -93,13 +95,13 @@ class Geometry:
         for camera in cameras:
             seen = visible(camera, camera.project(self.vertices), self.triangles)
             found[self.triangles[np.unique(seen[seen >= 0])]] = True
-        # A triangle smaller than a pixel is seen where its neighbour is.
+        # A triangle smaller than a pixel counts as seen if its neighbour is.
         area = triangle_areas(self.vertices, self.triangles)
         return float(area[~found[self.triangles].any(axis=1)].sum() / area.sum())
 
 
 def run(context: Context) -> Outcome:
-    """Train the shader on one view a step (paper's appendix A.1, L_shading)."""
+    """Train the shader, on one view in each step (paper's appendix A.1, L_shading)."""
     import numpy as np
     import torch
 
@@ -112,7 +114,7 @@ def run(context: Context) -> Outcome:
     torch_start.start(context.threads)
     params, source = context.params, context.source()
     if not isinstance(source, ViewSource):
-        raise UsageError(f"shade: the input is a {source.kind}; only views show an appearance")
+        raise UsageError(f"shade: the input is of kind {source.kind}, and only views have colours")
     source.threads = context.threads
     mesh = PolygonMesh.from_arrays(context.arrays("sphere-train"), "surface/")
     vertices, triangles, _ = fan_triangles(mesh)
@@ -161,7 +163,8 @@ def run(context: Context) -> Outcome:
     warnings = []
     if unseen > WORTH_SAYING:
         warnings.append(
-            f"{100 * unseen:.0f} % of the surface is in no picture; its colours there mean nothing"
+            f"no picture shows {100 * unseen:.0f} % of the surface, so its colours there are "
+            "guesses"
         )
     worst = sorted(scores.items(), key=lambda item: item[1])[:3]
     return Outcome(
@@ -188,22 +191,25 @@ def run(context: Context) -> Outcome:
 
 
 def split(count: int, held_out: int | None) -> tuple[Ints, Ints]:
-    """Numbers of the views to train on, and of those held out, spread evenly.
+    """Numbers of the views to train on, and of the other views, spread evenly.
 
-    Raises UsageError when none would be left.
+    Raises UsageError if no view would be left to train on.
     """
     import numpy as np
 
     if held_out is None:
         held_out = min(8, count // 8)
     if held_out >= count:
-        raise UsageError(f"--held-out {held_out}: there are {count} views; leave some to train on")
+        raise UsageError(
+            f"--held-out {held_out}: there are only {count} views, and some must remain for "
+            "training; lower it"
+        )
     held = np.floor((np.arange(held_out) + 0.5) * count / max(1, held_out)).astype(np.int64)
     return np.setdiff1d(np.arange(count), held), held
 
 
 class Pixels:
-    """What the views show of a surface, one view at a time; kept where it is not much."""
+    """The pixels of a surface in the views, one view at a time; small sets are kept in memory."""
 
     MOST = 6_000_000
 
@@ -231,7 +237,7 @@ class Pixels:
         return found
 
     def share(self, view: int) -> float:
-        """Of the pixels of a mask, those that the surface covers."""
+        """Which pixels of a mask the surface covers."""
         from .render.views import COVERED
 
         return len(self.of(view)[0]) / int((self.source.views.masks[view] >= COVERED).sum())
@@ -247,8 +253,8 @@ def psnr(shader: Shader, pixels: Pixels, view: int) -> float:
 
 
 def baked(mesh: PolygonMesh, geometry: Geometry, shader: Shader) -> dict[str, bytes]:
-    """The surface with colours at its vertices, seen from straight ahead: polygons as PLY,
-    triangles as GLB."""
+    """The surface with colours at its vertices, seen along the normal: polygons as PLY, triangles
+    as GLB."""
     import numpy as np
 
     from .export import glb, ply
@@ -264,14 +270,14 @@ def baked(mesh: PolygonMesh, geometry: Geometry, shader: Shader) -> dict[str, by
 def orbit(
     source: ViewSource, geometry: Geometry, shader: Shader, frames: int, size: int
 ) -> dict[str, bytes]:
-    """Pictures of a way around the object, about the mean upward direction of the cameras."""
+    """Pictures from all around the object; the axis is the mean upward direction of the cameras."""
     import numpy as np
 
     from .render import image_file
     from .render.cameras import looking
 
     up = -np.mean([camera.rotation[1] for camera in source.views.cameras], axis=0)
-    # Cameras that are turned every way say nothing of it.
+    # Cameras that are turned in all directions have no mean upward direction.
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.3 else np.array([0.0, 0.0, 1.0])
     first = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     first /= np.linalg.norm(first)

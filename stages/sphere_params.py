@@ -30,8 +30,8 @@ DEFAULTS: dict[str, dict[str, float]] = {
         "weight_normal": 0.1,
     },
 }
-"""What an option that is not given is, by kind of faces or by preset; what stands in none of them
-is not asked for there."""
+"""Defaults of options for the default training and for the paper's. An option that is missing from
+one of them does not apply there."""
 
 
 @dataclass(frozen=True)
@@ -39,78 +39,83 @@ class Params(contract.Params):
     """Options of the sphere-train stage."""
 
     faces: Literal["triangle", "polygon"] = "triangle"
-    """Triangles, or polygons that are merged of them and conform exactly as they do."""
+    """The faces of the surface: triangles, or polygons that are merged of certified triangles."""
     preset: Literal["default", "paper"] = "default"
-    """paper: Adam on the initial surface with its losses and weights of 10, 10, 1 and 0.1;
-    triangles are then polygons split at their centroids."""
+    """paper trains the first surface with Adam and with the losses and weights of the paper.
+    Triangles are then polygons split at their centroids."""
     edge_length: Annotated[float, Range(0.05, 10)] | None = None
-    """Edge length of the triangles, 0.55 h0 by default, shorter where the shape is thin; polygons
-    are merged of them."""
+    """Edge length of the triangles in units of the voxel edge h0. Default: 0.55. Edges are shorter
+    where the shape is thin."""
     polygon_share: Share = 1.0
-    """The most of the area that polygons may cover, as a share (polygons)."""
+    """Largest share of the area that polygons may cover, with --faces polygon."""
     spacing_min: Annotated[float, Range(0.01, 10)] | None = None
-    """Least edge length in h0; with this or the next two, edges are short where the shape bends, is
-    thin or has creases close to each other, and long elsewhere."""
+    """Smallest edge length in h0. With this option or the next two, edges are short where the shape
+    bends, is thin or has close creases, and long elsewhere."""
     spacing_max: Annotated[float, Range(0.01, 100)] | None = None
     """Largest edge length in h0."""
     faces_target: Annotated[int, Range(100, 10_000_000)] | None = None
-    """How many triangles there are to be, within 5 %; with --refine the most. Polygons are merged
-    of so many."""
+    """Number of triangles, within 5 %; with --refine the maximum. Polygons are merged of these
+    triangles."""
     max_faces: Annotated[int, Range(100, 100_000_000)] = MAX_FACES
-    """The most triangles that thin parts and gaps may ask for; a shape that needs more is refused
-    before the training."""
+    """Maximum number of triangles. A shape whose thin parts and gaps need more is refused before
+    the training."""
     allow_uncertified: bool = False
-    """Write the interface of the diagram where the triangles get no certificate, in place of ending
+    """If the triangles get no certificate, write the interface of the diagram in place of ending
     with an error."""
     refine: Annotated[float, Range(1e-6, 10)] | None = None
-    """Distance from the shape in h0 from which on triangles are divided and trained again."""
+    """Divide triangles that are further than this from the shape, in h0, and train them again."""
     iterations: Annotated[int, Range(0, 1_000_000)] | None = None
-    """Gauss-Newton steps on triangles, 25 by default; 800 Adam iterations of the paper."""
+    """Number of Gauss-Newton steps. Default: 25, or 800 Adam iterations with --preset paper."""
     learning_rate: Positive | None = None
-    """First Adam step of the paper's training, 0.01 h0; decays to 0 as a cosine."""
+    """First step of Adam with --preset paper, in h0. Default: 0.01. It falls to 0 along a
+    cosine."""
     weight_intersection: Positive | None = None
-    """Weight of the sphere-intersection loss; for triangles, of pairs that are to exist."""
+    """Weight of the sphere-intersection loss: the spheres of a face must meet."""
     weight_exclusion: Positive | None = None
-    """Weight of the exclusion loss."""
+    """Weight of the exclusion loss: no generator may lie in the sphere of another face."""
     weight_shape: Positive | None = None
     """Weight of the shape loss."""
     weight_normal: Positive | None = None
-    """Weight of normal consistency; for triangles, of vertices at the height of their
+    """Weight of normal consistency. For triangles it keeps vertices at the height of their
     neighbours."""
     weight_smooth: Positive = 0.02
-    """Weight of vertices amid their neighbours, along the surface."""
+    """Weight that draws vertices to the middle of their neighbours, along the surface."""
     weight_radius: Positive = 0.02
-    """Weight of radii near the mean of their neighbours', or that suit the polygons."""
+    """Weight that keeps each radius close to those of its neighbours."""
     shape_loss: Literal["distance", "level-set", "chamfer", "images"] | None = None
-    """Distance to the surface (the default), or, trained as in the paper, its own: level-set for
-    fields, Chamfer for meshes, images for views (the default of the preset)."""
+    """The shape loss. Default: distance to the surface; with --preset paper, level-set for fields,
+    chamfer for meshes and points, images for views."""
     target_samples: Annotated[int, Range(100, 10_000_000)] = 50_000
-    """Points sampled on an input mesh for the Chamfer loss."""
+    """Number of points sampled on a mesh for the Chamfer loss."""
     sharp: str = "auto"
-    """Edges along the creases of meshes, points and fields: auto, from 40 degrees on (not in the
-    paper's training), off, or the least angle in degrees."""
+    """Make edges follow the creases of meshes, points and fields: auto for creases of 40 degrees or
+    more, another smallest angle in degrees, or off. --preset paper ignores creases."""
     merge: Positive = 0.1
-    """Vertices of the paper's diagram this near to a trained one, in units of h0, become it in the
-    written surface, so that slivers between polygons vanish; 0 writes them."""
+    """With --preset paper and polygons: merge vertices of the diagram within this distance, in h0,
+    of a trained vertex, so that slivers vanish. 0 keeps them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.preset == "default" and self.shape_loss not in (None, "distance"):
             raise UsageError(
-                f"--shape-loss {self.shape_loss}: this training is on the distance; add "
-                "--preset paper"
+                f"--shape-loss {self.shape_loss}: the default training uses the distance "
+                "only; add --preset paper"
             )
         if self.by_adam and self.sharp not in ("auto", "off"):
-            raise UsageError(f"--sharp {self.sharp}: the paper's training has no creases")
+            raise UsageError(
+                f"--sharp {self.sharp}: --preset paper does not follow creases; leave it out"
+            )
         _ = self.angle
         for name in ("spacing_min", "spacing_max", "faces_target", "refine"):
             if getattr(self, name) is not None and self.by_adam:
                 raise UsageError(f"--{name.replace('_', '-')}: not used with --preset paper")
         if self.polygon_share < 1 and (self.by_adam or self.faces == "triangle"):
-            raise UsageError("--polygon-share: only polygons have one; add --faces polygon")
+            raise UsageError(
+                "--polygon-share: applies to --faces polygon only, without --preset paper"
+            )
         low, high = self.spacing_min, self.spacing_max
         if low is not None and high is not None and low > high:
-            raise UsageError(f"--spacing-min {low:g}: more than --spacing-max {high:g}")
+            raise UsageError(f"--spacing-min {low:g}: more than --spacing-max {high:g}; lower it")
         for name in ("edge_length", "learning_rate"):
             if getattr(self, name) is not None and name not in DEFAULTS[self.kind]:
                 other = "add --preset paper" if name == "learning_rate" else "leave it out"
@@ -123,7 +128,8 @@ class Params(contract.Params):
 
     @property
     def angle(self) -> float | None:
-        """Degrees from which on an edge of the input is a crease. Raises UsageError."""
+        """Smallest angle in degrees by which an edge of the input bends to be a crease. Raises
+        UsageError."""
         if self.sharp == "off":
             return None
         if self.sharp == "auto":
@@ -144,13 +150,14 @@ class Params(contract.Params):
         return "paper" if self.by_adam else "triangle"
 
     def value(self, name: str) -> float:
-        """What was given for ``name``, or its default."""
+        """The given value of ``name``, or its default."""
         given = getattr(self, name)
         return float(DEFAULTS[self.kind][name] if given is None else given)
 
     @property
     def spacing(self) -> Spacing:
-        """The edge lengths of the triangles; refined ones start with half of their number."""
+        """The edge lengths of the triangles. With --refine the training starts with half of their
+        number."""
         from .surface.spacing import Spacing
 
         faces = self.faces_target

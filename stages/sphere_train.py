@@ -1,4 +1,4 @@
-"""Stage sphere-train: spheres at the vertices, generator pairs at the faces, the final surface.
+"""Stage sphere-train: train the final Voronoi surface and certify it.
 
 Example:
     >>> from vorolight.stages import pipeline, sphere_train
@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from .voronoi.trained_surface import TrainedSurface
 
 SMALLEST_OFFSET = 0.05
-"""In units of the spacing: pairs nearer to their face are moved out to this, never collapsed."""
+"""Smallest distance of a pair from its face, in units of the spacing. Closer pairs are moved out to
+it."""
 
 
 def run(context: Context) -> Outcome:
-    """Spheres and pairs of generators (the paper's sections 3.3 and 3.4), then the surface."""
+    """Train spheres and pairs of generators (the paper's sections 3.3 and 3.4), and write the
+    surface."""
     # Formulas are differentiated by torch, which is large.
     if context.params.by_adam or context.source().kind == "field":
         torch_start.start(context.threads)
@@ -37,11 +39,15 @@ def run(context: Context) -> Outcome:
 
 def _on_cpu(context: Context) -> list[str]:
     device = context.device
-    return [] if device == "cpu" else [f"--device {device}: this training runs on the CPU"]
+    return (
+        []
+        if device == "cpu"
+        else [f"--device {device} has no effect: this training runs on the CPU"]
+    )
 
 
 def _conforming(context: Context) -> Outcome:
-    """Triangles, remeshed and trained until they conform, and the polygons merged of them."""
+    """Remesh triangles and train them until they conform, then merge polygons of them."""
     import numpy as np
 
     from .optimize.agreement import Polygons
@@ -69,7 +75,10 @@ def _conforming(context: Context) -> Outcome:
     polygons = Polygons.of_triangles(spheres)
     if params.faces == "polygon":
         if spheres.intruded(context.threads).any():
-            warnings.append("the triangles do not conform, so that none are merged into polygons")
+            warnings.append(
+                "no triangles were merged into polygons, since the triangles have no "
+                "certificate: raise -n, or lower --edge-length"
+            )
         else:
             polygons, losses, rounds = train_polygons(
                 spheres,
@@ -86,13 +95,13 @@ def _conforming(context: Context) -> Outcome:
             facts["polygons"] = polygons.facts() | {"rounds": rounds}
             if params.polygon_share > 0 and not polygons.large.any():
                 warnings.append(
-                    f"no polygon conforms after {rounds} rounds, so that all faces are triangles: "
-                    "raise -n, or lower --edge-length"
+                    f"all faces are triangles, since no polygon conforms after {rounds} "
+                    "rounds: raise -n, or lower --edge-length"
                 )
     trained, corners = polygons.placed(), polygons.spheres
 
     def resisting() -> str:
-        return f"another face's generator is in {where(spheres, frame, context.threads)}"
+        return where(spheres, frame, context.threads)
 
     points, square = corners.generators()
     count = trained.face_count
@@ -108,7 +117,7 @@ def _conforming(context: Context) -> Outcome:
 
 
 def _as_in_the_paper(context: Context) -> Outcome:
-    """The paper's training of the initial surface, then the diagram of all pairs."""
+    """Train the initial surface as the paper does, and compute the diagram of all pairs."""
     import numpy as np
 
     from .losses import shape
@@ -143,8 +152,9 @@ def _as_in_the_paper(context: Context) -> Outcome:
     warnings = []
     if pairs.undecided:
         warnings.append(
-            f"{pairs.undecided} generator pairs lie on one side of the trained surface and were "
-            "labelled by their face's orientation"
+            f"{pairs.undecided} generator pairs lie on one side of the trained surface and "
+            "were labelled by the orientation of their face: the written surface may differ "
+            "there"
         )
     facts = {
         "collapsed": int((np.abs(offsets) < SMALLEST_OFFSET).sum()),
@@ -165,9 +175,10 @@ def _outcome(
     warnings: list[str],
     resisting: Callable[[], str] | None = None,
 ) -> Outcome:
-    """The certificate, the surface it allows to write, and the files in the input's coordinates.
+    """Certify the surface, and make its files in the coordinates of the input.
 
-    Raises NumericalFailure where triangles have no certificate and must: ``resisting`` says where.
+    Raises NumericalFailure if a certificate is required and missing; ``resisting`` gives the reason
+    and the places.
     """
     from functools import partial
 
@@ -184,9 +195,9 @@ def _outcome(
     def refused(certificate: Certificate) -> None:
         if resisting is not None and not params.allow_uncertified:
             raise NumericalFailure(
-                f"no certificate ({', '.join(certificate.failed)} fails): {resisting()}; raise "
-                "-n, lower --edge-length, or try --sharp off; --allow-uncertified writes the "
-                "surface as the diagram has it"
+                f"no certificate ({', '.join(certificate.failed)} fails): {resisting()}; "
+                "raise -n, lower --edge-length, or try --sharp off; --allow-uncertified "
+                "writes the interface of the diagram instead"
             )
 
     found = written(trained, merge, context.threads, refused)
@@ -197,8 +208,9 @@ def _outcome(
     trained_facts = topology(trained.polygons)
     if expected is not None and expected != (facts.euler_number, facts.components):
         warnings.append(
-            f"the surface has Euler number {facts.euler_number} and {facts.components} components, "
-            f"the input {expected[0]} and {expected[1]}: raise -n"
+            f"the surface has Euler number {facts.euler_number} and {facts.components} "
+            f"components, but the input has {expected[0]} and {expected[1]}: parts or holes "
+            "were lost or joined; raise -n"
         )
     surface = found.mesh.with_vertices(frame.input_from_model(found.mesh.vertices))
     names = (*TERMS[:3], "normal") if params.by_adam else TERMS
@@ -231,7 +243,7 @@ def _outcome(
 
 
 def _memory(context: Context) -> float:
-    # At the default edge length there are about as many triangles as faces of the first surface.
+    # At the default edge length there are about as many triangles as faces in the first surface.
     params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0
     if not params.by_adam:
         faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2

@@ -1,4 +1,4 @@
-"""Where a run stands: which stages are done, which are stale and why."""
+"""The state of a run: which stages are done, and which are stale and why."""
 
 from __future__ import annotations
 
@@ -17,20 +17,31 @@ from .sources.resolve import Identity, identify, identify_field, identify_path
 ORDER = ("classify", "init", "sphere-train", "volume", "shade", "evaluate", "fabricate")
 """The stages of a whole run, in order."""
 ALL = (*ORDER, "baseline")
-"""Every stage: also what is only run when asked for."""
+"""Every stage, including those that only run on request."""
 SETTINGS = ("seed", "device", "backend")
-"""What of a session decides on a result."""
+"""The settings of a session on which results depend."""
 
 
 def get(name: str) -> Stage:
-    """The stage called ``name``; its module is imported here and not before."""
+    """The stage called ``name``. Its module is imported now, not earlier."""
     module = importlib.import_module(f"{__package__}.{name.replace('-', '_')}")
     stage: Stage = module.STAGE
     return stage
 
 
+def stages_until(until: str, kind: str) -> list[str]:
+    """The stages of a run of an input of this ``kind``, in order, the last one being ``until``.
+
+    Raises UsageError if it is not a stage of a whole run.
+    """
+    if until not in ORDER:
+        raise UsageError(f"--until {until}: must be one of {', '.join(ORDER)}")
+    stages = ORDER[: ORDER.index(until) + 1]
+    return [name for name in stages if name != "shade" or kind == "views"]
+
+
 def available_threads() -> int:
-    """Processors this process may use."""
+    """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -38,7 +49,7 @@ def available_threads() -> int:
 
 @dataclass(frozen=True)
 class Session:
-    """What one command line says about every stage it runs."""
+    """The settings of a command line that apply to every stage it runs."""
 
     folder: RunFolder
     input: Identity | None = None
@@ -47,9 +58,9 @@ class Session:
     device: str = "cpu"
     backend: str = "scipy"
     allow_code: bool = False
-    """Whether fields that are Python code may be run."""
+    """Whether a field may be Python code."""
     max_memory_mb: float | None = None
-    """What a stage may be estimated to need; None for what is free."""
+    """Largest expected memory of a stage in MB; None for the free memory."""
     force: bool = False
     touch: bool = False
     verify: bool = False
@@ -58,7 +69,7 @@ class Session:
 
 @dataclass(frozen=True)
 class State:
-    """Whether a stage's result stands. ``reason`` says why it does not."""
+    """Whether a stage's result is up to date; ``reason`` says why it is not."""
 
     stage: Stage
     params: Params
@@ -72,9 +83,9 @@ class State:
 
 
 def recorded_input(folder: RunFolder) -> Identity | None:
-    """The input that the run folder's classify stage recorded, as it is on disk now.
+    """The input that stage classify recorded, as it is on disk now.
 
-    A file that is gone keeps the recorded hash: what was made from it is not stale for that.
+    An input that is missing keeps its recorded hash, so that its results do not become stale.
     """
     stored = folder.manifest("classify")
     if stored is None:
@@ -83,7 +94,7 @@ def recorded_input(folder: RunFolder) -> Identity | None:
     if entry["path"] is None:
         try:
             return identify_field(entry["name"])
-        except InputError:  # the module of a function is gone
+        except InputError:  # the module of a function is missing
             return Identity(entry["kind"], entry["name"], None, None, entry["sha256"])
     path = folder.path / entry["path"]
     gone = Identity(entry["kind"], entry["name"], path, entry["bytes"], entry["sha256"])
@@ -91,12 +102,12 @@ def recorded_input(folder: RunFolder) -> Identity | None:
         return gone
     try:
         return identify_path(entry["kind"], path)
-    except InputError:  # a picture of a set of views is gone
+    except InputError:  # a picture of a set of views is missing
         return gone
 
 
 def input_of(session: Session) -> Identity | None:
-    """The input given, or else recorded, with leave to run it if it is code."""
+    """The given input, else the recorded one, with the session's permission to run code."""
     found = session.input or recorded_input(session.folder)
     return found and replace(found, allow_code=session.allow_code)
 
@@ -104,7 +115,7 @@ def input_of(session: Session) -> Identity | None:
 def _extra_input(
     folder: RunFolder, stored: manifest.Manifest | None, role: str, text: str
 ) -> Identity:
-    """A further input as it is now; one that is gone keeps what the manifest recorded of it."""
+    """A further input as it is now; a missing one keeps its recorded hash."""
     entries = stored["inputs"] if stored else []
     entry = next((entry for entry in entries if entry["role"] == role), None)
     if entry is not None and entry["path"] is not None:
@@ -117,7 +128,7 @@ def _extra_input(
 
 
 def check_same_input(folder: RunFolder, given: Identity | None) -> None:
-    """Raise ArtifactError when the run folder was made from another input than ``given``."""
+    """Raise ArtifactError if the run folder was made from another input than ``given``."""
     stored = folder.manifest("classify") if given else None
     if stored is None or given is None:
         return
@@ -132,14 +143,13 @@ def check_same_input(folder: RunFolder, given: Identity | None) -> None:
         same = False
     if not same:
         raise ArtifactError(
-            f"{folder.path}: holds a run of {entry['path'] or entry['name']}, not of "
-            f"{given.path or given.name}; "
-            "name another folder with --run"
+            f"{folder.path}: contains a run of {entry['path'] or entry['name']}, not of "
+            f"{given.path or given.name}; name another folder with --run"
         )
 
 
 def state(session: Session, name: str, params: Params | None = None) -> State:
-    """Where a stage stands. Without ``params`` those recorded in its manifest are taken."""
+    """The state of a stage. Without ``params`` the parameters in its manifest are used."""
     stage = get(name)
     if params is None:
         stem = stage.stem_of(stage.params())
@@ -189,7 +199,7 @@ def _recorded_params(folder: RunFolder, stage: Stage, stored: manifest.Manifest)
         return stage.params(**_known(stage, stored["params"]))
     except UsageError as error:  # they were written by another hand
         raise ArtifactError(
-            f"{folder.path}: the manifest of {stage.name} has options that cannot be ({error}); "
+            f"{folder.path}: the manifest of {stage.name} has invalid options ({error}); "
             f"run: vorolight {stage.name} --force"
         ) from error
 
@@ -209,7 +219,7 @@ def _difference(
     parents: list[State],
     digest: str,
 ) -> str | None:
-    """Why the stored result is not the one asked for, in words; None if it is."""
+    """Why the stored result does not fit the request, in words; None if it fits."""
     if stored is None:
         return "not done"
     recorded = {entry["role"]: entry for entry in stored["inputs"]}
@@ -228,7 +238,7 @@ def _difference(
         for key, value in settings.items():
             if stored[key] != value:
                 return f"{key} {stored[key]} -> {value}"
-        return f"the stage's code is another version ({stored['stage_code_version']})"
+        return f"the stage's code has changed since version {stored['stage_code_version']}"
     if stage.name == "classify" and session.input is not None and session.input.path is not None:
         place = relative(session.input.path, session.folder.path)
         if recorded["input"]["path"] != place:
@@ -237,9 +247,10 @@ def _difference(
 
 
 def overall(session: Session) -> list[State]:
-    """Where every stage of a run folder stands, evaluations of each stage included.
+    """The states of all stages of a run folder, including evaluations of each stage.
 
-    Stages that are no part of a whole run are there if they were run."""
+    Stages that are not part of a whole run are included if they were run.
+    """
     found = input_of(session)
     left_out = (
         {"evaluate"} if found is not None and found.kind == "views" else {"evaluate", "shade"}

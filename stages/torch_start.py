@@ -1,4 +1,4 @@
-"""torch made ready before its threads take turns."""
+"""Prepare torch before several threads use it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ FUNCTIONS = (
 
 
 def start(threads: int) -> None:
-    """Let torch use ``threads``, each function of its vector library having been called once, and
-    of its operations only those that give the same bits every time, where it has them."""
+    """Let torch use ``threads``, and only operations that give the same bits every time.
+
+    Each function of its vector library is called once first.
+    """
     import torch
 
     torch.set_num_threads(threads)
-    # What CUDA has no such operation for is said; on a processor there is none of these.
+    # CUDA lacks such a version of some operations, which is a warning; a processor has all of them.
     torch.use_deterministic_algorithms(True, warn_only=torch.cuda.is_available())
-    # All that is read has been written before, so that filling it first is time lost.
+    # Every value is written before it is read, so filling memory first would waste time.
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     settle()
 

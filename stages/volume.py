@@ -1,4 +1,4 @@
-"""Stage volume: generators deep inside, a centroidal tessellation, polyhedral cells.
+"""Stage volume: fill the surface with Voronoi cells, a polyhedral mesh.
 
 Example:
     >>> from vorolight.stages import pipeline, volume
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 DEFAULT_INNER = 800
 MOST_INNER = 10_000_000
 SAME = 1e-6
-"""In units of h0: how far the written surface may be from the interface of its generators."""
+"""Largest distance, in h0, of the written surface from the interface of its generators."""
 BELOW = 0.55
-"""Of a cell's size, that surface cells reach below their generators, about."""
+"""How far cells of the surface reach below their generators, about, as a share of their size."""
 
 
 @dataclass(frozen=True)
@@ -39,26 +39,29 @@ class Params(contract.Params):
     """Options of the volume stage."""
 
     inner: Annotated[int, Range(1, MOST_INNER)] | None = None
-    """Generators to place inside, away from the surface. Default: 800, or what --spacing and
-    --grading ask for."""
+    """Number of generators inside. Default: 800, or as many as --spacing and --grading need."""
     spacing: Annotated[float, Range(0)] | None = None
-    """Size of the inner cells (the cube root of their volume, in the input's unit) in place of
-    their number; with --grading the largest size."""
+    """Size of the inner cells (the cube root of their volume, in the unit of the input), in place
+    of --inner. With --grading it is the largest size."""
     grading: Share = 0.0
-    """How much the size of cells grows per distance to the surface, from that of the surface's own
-    faces; 0 is one size for all."""
+    """Growth of the cell size per unit of distance to the surface, starting from the size of the
+    surface's faces. 0 makes all inner cells the same size."""
     cvt: Literal["energy", "paper"] = "energy"
-    """What evens out the inner cells: quasi-Newton steps on the CVT energy, or Adam on the paper's
-    loss, which --grading does not know."""
+    """How inner cells are evened out: energy by quasi-Newton steps on the energy of the centroidal
+    Voronoi tessellation, paper by Adam on the paper's loss (without --grading)."""
     cvt_iterations: Annotated[int, Range(0, 100_000)] = 100
-    """Most steps of that; on the energy they end before, where five win less than a thousandth."""
+    """Maximum number of these steps. With --cvt energy they end early if five steps gain less than
+    a thousandth."""
     sliver: Annotated[float, Range(0, 0.2)] = 0.01
-    """Edges inside that are shorter than this share of the smallest cell beside them are
-    contracted, as are faces smaller than its square."""
+    """Contract inner edges shorter than this share of the smallest cell beside them, and faces
+    smaller than its square."""
 
 
 def run(context: Context) -> Outcome:
-    """The paper's section 3.6 and appendix C.2; quasi-Newton steps lower the CVT energy."""
+    """Place inner generators and make the cells (the paper's section 3.6 and appendix C.2).
+
+    Quasi-Newton steps lower the CVT energy.
+    """
     import numpy as np
 
     from .errors import InputError, NumericalFailure, UsageError
@@ -76,17 +79,19 @@ def run(context: Context) -> Outcome:
     if params.spacing == 0:
         raise UsageError("--spacing 0: must be more than 0")
     if params.spacing is not None and params.inner is not None:
-        raise UsageError("--spacing: says how many inner generators there are, as --inner does")
+        raise UsageError(
+            "--spacing and --inner both set the number of inner generators; give one of them"
+        )
     if params.grading and params.cvt == "paper":
-        raise UsageError("--grading: the paper's CVT loss has no density; use --cvt energy")
+        raise UsageError("--grading: --cvt paper makes cells of one size only; use --cvt energy")
     trained = context.arrays("sphere-train")
     frame = ModelFrame.of(context.arrays("classify"))
     written = PolygonMesh.from_arrays(trained, "surface/")
     gaps = len(bad_edges(written))
     if gaps or not written.face_count:
         raise InputError(
-            f"{context.folder.file('sphere-train', 'ply')}: {gaps} edges are not in two faces, so "
-            "the surface encloses nothing; train it again, with a higher -n"
+            f"{context.folder.file('sphere-train', 'ply')}: the surface is not closed "
+            f"({gaps} edges are not in two faces); train it again with a larger -n"
         )
     surface = written.with_vertices(frame.model_from_input(written.vertices))
     mean_area = float(face_frames(surface)[0].mean())
@@ -105,14 +110,16 @@ def run(context: Context) -> Outcome:
     except NumericalFailure:
         if bounded.again is None:
             raise
-        # Where many generators lie on one sphere the diagram is divided in another way than before.
+        # Where many generators lie on one sphere, the new diagram divides it in another way than
+        # before.
         actual, changed = bounded.again(generators, inside, diagram)
         raw = raw_cells(generators, inside, diagram, actual)
         surface, as_written = actual.mesh, False
         if changed:
             warnings.append(
-                f"{changed} faces of the surface have other corners than as written: its diagram "
-                "is degenerate there, and no certificate says which is right"
+                f"{changed} outer faces of the cells have other corners than in the written "
+                "surface, whose diagram is degenerate there; train the surface until it has "
+                "a certificate if cells must end exactly at it"
             )
     at = generators[raw.cell_generator]
     result = merged(raw, params.sliver, at)
@@ -125,21 +132,24 @@ def run(context: Context) -> Outcome:
     faults = {name: cells for name, cells in result.faults.items() if cells}
     if faults:
         named = ", ".join(f"{cells} {name.replace('_', ' ')}" for name, cells in faults.items())
-        warnings.append(f"not all cells are sound ({named}): a solver may refuse them")
+        warnings.append(
+            f"some cells are faulty ({named}), and a solver may refuse them: lower --sliver, or "
+            "train the surface until it has a certificate"
+        )
     if params.cvt == "energy" and params.cvt_iterations and not descent.done:
         warnings.append(
             f"the CVT energy was still falling after {descent.taken} steps: raise --cvt-iterations"
         )
     bodies = mesh.body_count
     if bodies > 1:
-        warnings.append(f"the cells are {bodies} bodies that share no face")
+        warnings.append(f"the cells form {bodies} separate bodies that share no face")
     moments = descent.moments
     offset = np.linalg.norm(points - moments.centroid, axis=1)
     history = np.array([*descent.residuals, (offset**2).mean()]) / mean_area
     inner_size = float(np.cbrt(moments.volume.mean()))
 
     placed = frame.input_from_model(mesh.faces.vertices)
-    if as_written:  # the surface's vertices are those of the file, to the bit
+    if as_written:  # The surface's vertices are those of the file, to the last bit.
         placed[: written.vertex_count] = written.vertices
     output = mesh.with_vertices(placed)
     found = polyhedra.quality(output)
@@ -196,20 +206,21 @@ def run(context: Context) -> Outcome:
 
 @dataclass(frozen=True)
 class _Bounded:
-    """What inner generators must leave alone, and what their cells end at."""
+    """What inner generators must not touch, and the surface at which their cells end."""
 
     guard: Guard
     boundary: Boundary
     recheck: Callable[[Floats], None]
-    """Called with the inner generators; raises NumericalFailure where they change the surface."""
+    """Called with the inner generators. Raises NumericalFailure if they change the surface."""
     warnings: list[str]
     again: Callable[[Floats, Any, Any], tuple[Boundary, int]] | None = None
-    """Called with all generators, their labels and their diagram, it gives the boundary that is
-    there, and how many faces differ from those written; None where there is a certificate."""
+    """Called with all generators, their labels and their diagram. It returns the actual boundary
+    and the number of faces that differ from the written ones. None if there is a certificate."""
 
 
 def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Bounded:
-    """From the trained surface where the certificate holds, else from the real interface."""
+    """The bounds from the trained surface if the certificate holds, else from the actual
+    interface."""
     import numpy as np
 
     from .artifacts.manifest import foreign
@@ -230,7 +241,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
         reach = float(recorded["params"]["merge"])
         failed = ", ".join(metrics["certificate"].get("failed") or [])
     if certified:
-        # As far outside the spheres as the certificate asks.
+        # As far outside the spheres as the certificate requires.
         reaches = np.sqrt(trained.radii**2 + 2 * MARGIN)
         guard = Guard(boundary, labels, surface.vertices, reaches)
 
@@ -248,7 +259,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
     drawn = merged > 0
 
     def cleaned(raw: VoronoiSurface) -> CleanSurface:
-        """As sphere-train did."""
+        """Clean the interface as stage sphere-train did."""
         return clean(
             raw, 1.0, anchors=trained.polygons.vertices if drawn else None,
             reach=reach if drawn else 0.0,
@@ -276,8 +287,8 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
             "generators, and has no certificate; train it without --preset paper, or with --merge 0"
         )
     warning = (
-        f"the surface has no certificate ({failed} fails): "
-        "the cells end at the interface of its generators"
+        f"the surface has no certificate ({failed} fails): the cells end at the interface of "
+        "its generators, which may differ from the trained surface"
     )
     guard = Guard.of(boundary, labels, raw)
     return _Bounded(guard, made, lambda points: None, [warning], again)
@@ -286,8 +297,7 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
 def _sizes(
     params: Params, frame: ModelFrame, surface: PolygonMesh, guard: Guard, threads: int
 ) -> tuple[Sizes | None, int]:
-    """The sizes that --grading asks for (None: all are equal), and how many inner cells there are
-    to be."""
+    """The cell sizes for --grading (None if all are equal), and the number of inner cells."""
     import math
 
     import numpy as np
@@ -323,7 +333,7 @@ def _sizes(
 def _descend(
     context: Context, guard: Guard, count: int, sizes: Sizes | None, mean_area: float
 ) -> Descent | PaperDescent:
-    """Inner generators, sampled and evened out; resumes from the newest checkpoint."""
+    """Sample inner generators and even them out; continues from the newest checkpoint."""
     from .optimize.cvt import Descent, PaperDescent
     from .voronoi.interior import sample
 

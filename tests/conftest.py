@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from vorolight.stages import standing
 from vorolight.stages.optimize.descent import Problem
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.sources.true_surface import TrueSurface, true_surface
@@ -34,6 +35,21 @@ def _two_threads() -> None:
     import torch
 
     torch.set_num_threads(2)
+
+
+@pytest.fixture(scope="session")
+def commands() -> dict[str, Any]:
+    """Every command with all its options, by name."""
+    import typer.main
+
+    from vorolight.cli import app
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COMP_WORDS", " ".join([*standing.ALL, "run"]))
+        app._build()
+    group: Any = typer.main.get_command(app.app)
+    assert len(group.commands) >= 16
+    return dict(group.commands)
 
 
 @pytest.fixture(scope="session")

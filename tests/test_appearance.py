@@ -178,13 +178,13 @@ def test_a_finished_run_outlives_its_pictures(run: Path, cli: Cli, tmp_path: Pat
 def test_only_views_have_an_appearance_and_masks(cli: Cli, heart_run: Path) -> None:
     done = cli("shade", "--run", heart_run, cwd=heart_run.parent)
     assert done.returncode == 2
-    assert "shade: the input is a field; only views show an appearance" in done.stderr
+    assert "shade: the input is of kind field, and only views have colours" in done.stderr
     done = cli("classify", "heart", "--mask-votes", 1, cwd=heart_run.parent, env={})
     assert done.returncode == 2
-    assert "--mask-votes: the input is a field" in done.stderr
+    assert "--mask-votes: needs views, but the input is of kind field" in done.stderr
     done = cli("init", "--run", heart_run, "--shape-loss", "images", cwd=heart_run.parent)
     assert done.returncode == 2
-    assert "--shape-loss images: the input is a field" in done.stderr
+    assert "--shape-loss images: the input is of kind field" in done.stderr
 
 
 def test_the_paper_trains_on_pictures(run: Path, cli: Cli, tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_six_views_of_a_known_mesh(tmp_path: Path, cli: Cli) -> None:
     Image.open(made / "front.png").save(tmp_path / "photo.png")
     done = cli("from-image", "photo.png", cwd=tmp_path)
     assert done.returncode == 69
-    assert "no generator of six views is installed" in done.stderr
+    assert "there is no built-in generator of six views" in done.stderr
     done = cli("from-image", "photo.png", "--six-views", "made", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0].endswith("transforms.json")

@@ -60,7 +60,7 @@ def test_sweep_removes_only_what_dead_processes_left(tmp_path: Path) -> None:
 def test_lock(tmp_path: Path) -> None:
     with lock.locked(tmp_path) as notes:
         assert notes == []
-        with pytest.raises(Locked, match="held by process"), lock.locked(tmp_path):
+        with pytest.raises(Locked, match="works on this run folder"), lock.locked(tmp_path):
             pass
     assert not (tmp_path / lock.NAME).exists()
     mine = {"host": os.uname().nodename, "pid": os.getpid()}
@@ -68,7 +68,7 @@ def test_lock(tmp_path: Path) -> None:
     other = mine | {"pid": os.getppid(), "start": processes.start_of(os.getppid())}
     (tmp_path / lock.NAME).write_text(json.dumps(other))
     assert lock.holder(tmp_path)["pid"] == os.getppid()
-    with pytest.raises(Locked, match="held by process"), lock.locked(tmp_path):
+    with pytest.raises(Locked, match="works on this run folder"), lock.locked(tmp_path):
         pass
     # Its number has gone to another process since.
     (tmp_path / lock.NAME).write_text(json.dumps(other | {"start": "an earlier one"}))
@@ -113,7 +113,7 @@ def test_locks_where_there_are_no_hard_links(
     monkeypatch.setattr(os, "link", refused)
     with (
         lock.locked(tmp_path),
-        pytest.raises(Locked, match="held by process"),
+        pytest.raises(Locked, match="works on this run folder"),
         lock.locked(tmp_path),
     ):
         pass
@@ -131,7 +131,7 @@ def test_checkpoints_cost_little_and_end_a_process_that_was_asked_to(
     mine.save(2, lambda: {"x": np.zeros(3)})  # too soon: it would cost more than two percent
     assert mine.latest()[0] == 1
     monkeypatch.setattr(requeue, "_asked", True)
-    with pytest.raises(Stopped, match="goes on from there"):
+    with pytest.raises(Stopped, match="continues from there"):
         mine.save(3, lambda: {"x": np.zeros(3)})
     assert mine.latest()[0] == 3
     assert [event for event, _ in told] == ["checkpoint", "resumed", "checkpoint", "resumed"]
@@ -226,7 +226,7 @@ def test_layout_names_the_fault() -> None:
         ({"surface/face_vertices": np.array([0, 1, 3])}, "not there"),
         ({"surface/face_offsets": np.array([0, 2])}, "row index"),
         ({"vertex_distance": np.zeros(4)}, "shape"),
-        ({"vertex_distance": np.zeros(3, int)}, "holds int64"),
+        ({"vertex_distance": np.zeros(3, int)}, "has type int64"),
     ):
         with pytest.raises(ValueError, match=reason):
             layouts.check("evaluate", arrays | change)
@@ -264,16 +264,16 @@ def test_manifests_are_checked(manifest: Callable[[str], dict[str, Any]], tmp_pa
     for part in (good["metrics"], good["volatile"]["mtime_ns"]):
         part["another"] = 12345
         path.write_text(json.dumps(good))
-        with pytest.raises(ArtifactError, match="not as it was written"):
+        with pytest.raises(ArtifactError, match="was changed after it was written"):
             read_manifest(path)
         del part["another"]
     (tmp_path / "classify.json").write_text(json.dumps(good))
-    with pytest.raises(ArtifactError, match="is of another stage"):
+    with pytest.raises(ArtifactError, match="belongs to another stage"):
         read_manifest(tmp_path / "classify.json")
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "init.json").symlink_to(path)
-    with pytest.raises(ArtifactError, match="no manifest of this folder"):
+    with pytest.raises(ArtifactError, match="leads out of this folder"):
         read_manifest(elsewhere / "init.json")
     for text in ("[" * 100_000, '{"a": NaN}', '{"a": 1e999}', "", "[]", "{}"):
         path.write_text(text)
@@ -321,6 +321,6 @@ def test_a_container_may_have_less_memory_than_its_machine(
     assert memory.free_mb() == 50.0
     memory.require("init", 49.0, None)
     with pytest.raises(
-        UsageError, match=r"init: needs about 0\.1 GB of memory and 0\.1 GB are free"
+        UsageError, match=r"init: needs about 0\.1 GB of memory, but only 0\.1 GB are free"
     ):
         memory.require("init", 100.0, None)

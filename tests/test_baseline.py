@@ -196,10 +196,10 @@ def test_clean_labels_for_a_noisy_cloud(tmp_path: Path) -> None:
     assert record["metrics"]["topology"]["bad_edges"] == 0
     assert record["metrics"]["samples"] == 3000
     assert [entry["role"] for entry in record["inputs"]] == ["input", "labels"]
-    with pytest.raises(InputError, match="--labels takes a mesh or a field"):
+    with pytest.raises(InputError, match="--labels needs a mesh or a field"):
         run(noisy)
     far = write_obj(tmp_path / "far.obj", sphere_mesh()[0] + 100, sphere_mesh()[1])
-    with pytest.raises(InputError, match=r"no cell of the .* is inside; is it where the input is"):
+    with pytest.raises(InputError, match=r"none of the .* lies inside the shape; check that"):
         run(far)
 
 

@@ -36,7 +36,7 @@ def test_bunny_to_lamp(tmp_path: Path, cli: Cli) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bunny", "heart"])
-def test_figures_of_the_readme(name: str, tmp_path: Path, cli: Cli) -> None:
+def test_figures_of_the_results(name: str, tmp_path: Path, cli: Cli) -> None:
     source = name
     if name == "bunny":
         assert cli("sample", "bunny", cwd=tmp_path).returncode == 0

@@ -84,7 +84,7 @@ def test_a_case_that_is_there_is_kept_but_for_its_mesh(
     words = ["export", case, "--format", "openfoam", "--run", heart_run]
     done = cli(*words, cwd=tmp_path)
     assert done.returncode == 2
-    assert "use --force" in done.stderr
+    assert "with --force" in done.stderr
     (case / "constant" / "polyMesh" / "points").write_text("broken")
     assert cli(*words, "--force", cwd=tmp_path).returncode == 0
     assert (case / "system" / "fvSchemes").read_text() == "mine"

@@ -147,7 +147,7 @@ def test_inner_generators_leave_the_surface_alone() -> None:
     descent = Descent(guard, None, 1, inner)
     while not descent.done:
         descent.step()
-    # Measured .022: generators that press against the spheres cannot reach their centroids.
+    # Measured 0.022: generators that press against the spheres cannot reach their centroids.
     assert descent.residual < 0.05 * descent.residuals[0]
     inner = descent.points
 

@@ -244,7 +244,7 @@ def test_a_run_of_another_input_is_left_alone(heart_run: Path, cli: Cli) -> None
     before = snapshot(heart_run)
     done = cli("init", "sphere", "--run", heart_run, cwd=heart_run.parent)
     assert done.returncode == 4
-    assert "holds a run of heart" in done.stderr
+    assert "contains a run of heart" in done.stderr
     assert snapshot(heart_run) == before
 
 
@@ -254,7 +254,7 @@ def test_an_input_of_the_same_name_is_another_input(tmp_path: Path, cli: Cli) ->
     before = snapshot(tmp_path)
     done = cli("init", "sphere.obj", "-n", 6, cwd=tmp_path)
     assert done.returncode == 4
-    assert "holds a run of sphere, not of sphere.obj" in done.stderr
+    assert "contains a run of sphere, not of sphere.obj" in done.stderr
     assert snapshot(tmp_path) == before
 
 

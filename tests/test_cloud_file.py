@@ -194,11 +194,11 @@ def test_columns_that_are_asked_for(tmp_path: Path, cli: Cli) -> None:
         with pytest.raises(InputError, match=said):
             cloud_file.load(tmp_path / "b.csv", columns)
     np.save(tmp_path / "a.npy", points)
-    with pytest.raises(InputError, match="--columns is of text files"):
+    with pytest.raises(InputError, match="--columns applies to text files"):
         cloud_file.load(tmp_path / "a.npy", "1,2,3")
     done = cli("classify", "sphere", "-n", 6, "--columns", "1,2,3", cwd=tmp_path)
     assert done.returncode == 2
-    assert "only points have columns" in done.stderr
+    assert "--columns: needs a point cloud" in done.stderr
     done = cli("init", "a.csv", "-n", 6, "--iterations", 1, cwd=tmp_path)
     assert done.returncode == 3
     assert "a.csv: not a readable point cloud (its column 1 only counts the rows" in done.stderr

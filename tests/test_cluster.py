@@ -47,8 +47,8 @@ def test_a_list_is_read_without_its_comments(
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ([], "lists no shape"),
-        (["# nothing", ""], "lists no shape"),
+        ([], "has no shape"),
+        (["# nothing", ""], "has no shape"),
         (["sphere", "gone.ply"], "line 2: gone.ply: no such file"),
         (["sphere", "# x", "two words"], "line 3: two words: no such file"),
         (["sphere", "heart", "other/sphere.ply"], "line 3: other/sphere.ply would share the run"),

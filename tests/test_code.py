@@ -52,7 +52,7 @@ def test_bad_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, code, said in (
         ("m1", "raise RuntimeError('no')", "fails"),
         ("m2", "f = 3", "no function f"),
-        ("m3", "def f(x, y, z, xp):\n    return 1.0", "no number for each point"),
+        ("m3", "def f(x, y, z, xp):\n    return 1.0", "does not return a number for each point"),
         ("m4", "import numpy as np\ndef f(x, y, z, xp):\n    return np.sqrt(x.numpy())", "numpy"),
         ("m5", "def f(x, y, z, xp):\n    return x + 1000", "inside"),
     ):

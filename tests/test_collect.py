@@ -154,10 +154,10 @@ def test_columns_are_selected_by_patterns(runs: Path, cli: Cli) -> None:
 
 BAD = [
     (["nowhere"], 4, "nowhere: no such folder"),
-    (["bare"], 4, "bare: neither a run folder nor"),
+    (["bare"], 4, "bare: is not a run folder and contains none"),
     (["sphere.vorolight", "--columns", "unicorns.*"], 2, "--columns unicorns.*: no column"),
     (["sphere.vorolight", "-o", "table.xlsx"], 2, "table.xlsx: must end with .csv or .parquet"),
-    (["sphere.vorolight", "-o", "no/table.csv"], 2, "no/table.csv: not a file that can be written"),
+    (["sphere.vorolight", "-o", "no/table.csv"], 2, "no/table.csv: cannot be written there"),
 ]
 
 

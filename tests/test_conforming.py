@@ -296,7 +296,7 @@ def test_losses_that_an_input_does_not_have(tmp_path: Path, cli: Cli) -> None:
     assert cli("init", "sphere", "-n", 6, "--iterations", 0, cwd=tmp_path).returncode == 0
     for words, message in (
         (["--shape-loss", "chamfer"], "add --preset paper"),
-        (["--preset", "paper", "--shape-loss", "chamfer"], "a field has no target points"),
+        (["--preset", "paper", "--shape-loss", "chamfer"], "a field has no points to compare with"),
         (["--learning-rate", 0.1], "add --preset paper"),
         (["--preset", "paper", "--edge-length", 0.5], "not used in this training"),
     ):

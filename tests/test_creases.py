@@ -213,7 +213,7 @@ def test_trained_triangles_keep_to_creases(
     [
         (["--sharp", "soft"], "must be auto, off, or from 5 to 175 degrees"),
         (["--sharp", "200"], "from 5 to 175 degrees"),
-        (["--sharp", "30", "--preset", "paper"], "the paper's training has no creases"),
+        (["--sharp", "30", "--preset", "paper"], "--preset paper does not follow creases"),
     ],
 )
 def test_impossible_options_are_refused(

@@ -48,7 +48,7 @@ def test_broken_libraries_are_problems_and_the_other_checks_go_on(tmp_path: Path
     assert "2 problems found (distances, solids)" in done.stderr
     lines = {line[9:28].strip(): line for line in done.stdout.splitlines()}
     assert lines["distances"].startswith("problem")
-    assert "ended its process with -4" in lines["distances"]
+    assert "crashed with exit code -4" in lines["distances"]
     assert "libsomething.so is missing" in lines["solids"]
     assert lines["3MF"].startswith("ok")
     assert lines["files"].startswith("ok")
@@ -82,7 +82,7 @@ def test_libraries_are_measured_by_the_declared_bounds(monkeypatch: pytest.Monke
     assert set(found) == {name for name, _ in declared}
     bad = {name for name, each in found.items() if each.verdict == "problem"}
     assert bad == {"scipy", "numpy", "h5py"}
-    assert found["scipy"].advice == "type: pip install --upgrade 'scipy>=1.13'"
+    assert found["scipy"].advice == "run: pip install --upgrade 'scipy>=1.13'"
     assert found["numpy"].found == "1.26.4, older than 2.0"
 
 

@@ -31,7 +31,10 @@ def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
     words = ["init", "sphere", "-n", 10, "--iterations", 2, "--run", "run"]
     done = cli(*words, "--max-memory", 0.3, cwd=tmp_path)
     assert done.returncode == 2
-    assert "init: needs about 0.6 GB of memory and --max-memory is 0.3: raise it" in done.stderr
+    assert (
+        "init: needs about 0.6 GB of memory, but --max-memory allows 0.3 GB: lower -n, or raise it"
+        in done.stderr
+    )
     assert not (tmp_path / "run" / "init.json").exists()
     done = cli(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

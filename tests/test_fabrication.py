@@ -160,7 +160,7 @@ def test_a_shell_is_nowhere_thinner_than_asked() -> None:
     hollow = outside - body.volume()
     # Half a grid cell further in than asked: 60 / 128 / 2.
     assert hollow == pytest.approx(4 / 3 * np.pi * (30 - 2 - 0.235) ** 3, rel=0.02)
-    with pytest.raises(UsageError, match="so deep"):
+    with pytest.raises(UsageError, match="no part of the shape is that thick"):
         solid.shell(ball, 31.0)
 
 

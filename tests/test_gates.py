@@ -73,7 +73,7 @@ def inward() -> Surface:
 DAMAGE: dict[str, tuple[Callable[[], Surface], str, str]] = {
     "hole": (hole, "closed", "edges in one face only: 3 ("),
     "flipped": (flipped, "oriented", "turned against each other: 3 ("),
-    "pinched": (pinched, "vertices_manifold", "vertices whose faces are not one fan: 1 ("),
+    "pinched": (pinched, "vertices_manifold", "vertices whose faces form more than one fan: 1 ("),
     "crossing": (crossing, "free_of_self_intersections", "pairs of faces that cross"),
     "fin": (fin, "edges_manifold", "edges in more than two faces: 1 ("),
     "inward": (inward, "outward", "the faces point inward"),
@@ -160,7 +160,7 @@ def test_a_sound_surface_passes_strictly_and_its_thresholds_decide(
         ("f1=>2", 'is not of the form "f1>=0.98"'),
         ("f1>=many", "many is neither a number"),
         ("normal_consistancy>0", "no such figure; there is normal_consistency"),
-        ("p95>0", "say which: curvature.p95"),
+        ("p95>0", "name one of curvature.p95"),
     ):
         done = cli(*command, "--require", text, cwd=ball_run)
         assert done.returncode == 2
@@ -171,7 +171,7 @@ def test_topology_other_than_the_references_fails(ball_run: Path, cli: Cli) -> N
     write(ball_run / "ring.ply", torus_mesh(0.8, 0.3, 32, 16))
     done = cli("evaluate", "--surface", "ring.ply", "--samples", 2000, "--strict", cwd=ball_run)
     assert done.returncode == 5
-    assert "Euler number 0 and 1 components, for 2 and 1 of the reference" in done.stderr
+    assert "Euler number 0 and 1 components, where the reference has 2 and 1" in done.stderr
 
 
 def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli: Cli) -> None:
@@ -186,7 +186,7 @@ def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli
     assert "do not overlap" in done.stderr
     done = measured(1000 * vertices)
     assert done.returncode == 3
-    assert "1000 times as large as this reference, which is in other units" in done.stderr
+    assert "1000 times as large as this reference, so their units differ" in done.stderr
     done = measured(1.5 * vertices)
     assert done.returncode == 0
     assert "1.5 times as large as the reference ball" in done.stderr
@@ -207,7 +207,7 @@ def test_references_that_do_not_fit_are_refused_or_warned_of(ball_run: Path, cli
     assert done.returncode == 0, done.stderr
     assert "open.ply has holes (6 edges in one triangle only)" in done.stderr
     assert "topology" in done.stdout
-    assert "not known: that of the reference is not" in done.stdout
+    assert "not known: the topology of the reference" in done.stdout
 
 
 def test_self_intersections_of_known_arrangements() -> None:

@@ -9,28 +9,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pytest
 from conftest import Cli
 
-from vorolight.stages import standing
+from vorolight.cli.panels import PANELS
 from vorolight.stages.errors import VorolightError
 
 BIN = Path(sys.executable).parent
-
-
-@pytest.fixture(scope="module")
-def commands() -> dict[str, Any]:
-    """Every command with all its options, by name."""
-    import typer.main
-
-    from vorolight.cli import app
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COMP_WORDS", " ".join([*standing.ALL, "run"]))
-        app._build()
-    group: Any = typer.main.get_command(app.app)
-    assert len(group.commands) >= 16
-    return dict(group.commands)
 
 
 def test_every_command_explains_itself_and_gives_an_example(commands: dict[str, Any]) -> None:
@@ -67,6 +51,22 @@ def test_help_ends_with_exit_codes_and_variables(cli: Cli, tmp_path: Path) -> No
     assert "\n    VOROLIGHT_RUN " in variables
     for command in ("doctor", "collect"):
         assert f"\n  {command} " in done.stdout
+
+
+def test_help_lists_every_command_in_one_panel(
+    cli: Cli, tmp_path: Path, commands: dict[str, Any]
+) -> None:
+    """In the order of their use, each with a sentence that fits on its line."""
+    listed = [name for names in PANELS.values() for name in names]
+    assert sorted(listed) == sorted(commands)
+    done = cli("--help", cwd=tmp_path, env={"COLUMNS": "80"}).stdout
+    titles = [f"\n{title}:\n" for title in PANELS]
+    places = [done.index(title) for title in titles]
+    assert places == sorted(places)
+    panels = done[places[0] : done.index("\n  Example: ")]
+    rows = [line.split() for line in panels.splitlines() if line.startswith("  ")]
+    assert [row[0] for row in rows] == listed
+    assert all(row[-1].endswith(".") and not row[-1].endswith("...") for row in rows)
 
 
 def test_help_is_there_at_once(cli: Cli, tmp_path: Path) -> None:

@@ -211,7 +211,7 @@ def test_a_few_wrong_masks_are_outvoted(torus: Path, tmp_path: Path) -> None:
     agreement = overlaps(whole.views, whole.vertices, whole.triangles)
     assert agreement[4] < 0.7
     assert np.delete(agreement, 4).min() > 0.93
-    assert "1 of 24 masks do not fit the surface, the worst are 004.png" in whole.warnings()[0]
+    assert "1 of 24 masks do not fit the surface; the worst are 004.png" in whole.warnings()[0]
     volumes = [enclosed_volume(s.vertices, s.triangles) for s in (halved, whole)]
     assert volumes[0] < 0.8 * volumes[1]
 

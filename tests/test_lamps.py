@@ -72,9 +72,11 @@ def test_a_room_that_stands_out_is_found_out() -> None:
 
 
 def test_what_does_not_fit_is_refused_with_what_would() -> None:
-    with pytest.raises(UsageError, match=r"the largest of this height that fits is \d+ mm wide"):
+    with pytest.raises(
+        UsageError, match=r"the largest light of this height that fits is \d+ mm wide"
+    ):
         lamp.stand(BALL, BALL, request(base="footprint", light=lights.Light(130.0, 20.0)))
-    with pytest.raises(UsageError, match="none of this height fits"):
+    with pytest.raises(UsageError, match="no light of this height fits"):
         lamp.stand(BALL, BALL, request(base="footprint", light=lights.Light(10.0, 119.0)))
     found = lamp.stand(
         BALL, BALL, request(light=lights.PRESETS["largest"], preset="largest", trim=0.1)
@@ -103,7 +105,7 @@ def test_pedestals_carry_what_stands_beside_the_window() -> None:
     # The light's room is empty, and walls are around it but for the cable.
     light = Manifold.cylinder(27, 34, 34, 64).translate((stance.place.x, stance.place.y, 0))
     assert (body ^ light).volume() < 1e-6
-    with pytest.raises(UsageError, match="pedestal would be"):
+    with pytest.raises(UsageError, match="pedestal would take"):
         lamp.stand(BALL, BALL, request(light=puck, base="pedestal", trim=0.2, height=60.0))
 
 
@@ -268,7 +270,7 @@ def test_sockets_pedestals_and_hanging_lamps(make: Make) -> None:
 REFUSED = [
     (["--lamp", "--solid"], 2, "exclude each other"),
     (["--height", "tall"], 2, "a length"),
-    (["--height", 300], 2, "the bed has room for 250"),
+    (["--height", 300], 2, "the printer has room for 250"),
     (["--lamp", "--bed", "100x100x300"], 2, "object is 12"),
     (["--bed", "big"], 2, "width x depth x height"),
     (["--lamp", "--plates", 1.5], 2, "from 0 to 1"),
@@ -281,20 +283,20 @@ REFUSED = [
     (["--height", 20, "--tube-diameter", 15], 2, "raise --height"),
     (["--lamp", "--light-height", 200], 2, "higher than the object"),
     (["--lamp", "--base", "footprint", "--light-diameter", 150], 2, "that fits is"),
-    (["--lamp", "--base", "none", "--light", "e14"], 2, "holds no light"),
+    (["--lamp", "--base", "none", "--light", "e14"], 2, "leaves no place for a light"),
     (["--explode", 2], 2, "add --cells"),
-    (["--solid", "--wall", 20, "--height", 30], 2, "so deep"),
-    (["--formats", "step"], 2, "must be of obj, glb"),
+    (["--solid", "--wall", 20, "--height", 30], 2, "no part of the shape is that thick"),
+    (["--formats", "step"], 2, "must be one of obj, glb"),
     (["--lattice", "--merge", 100], 2, "contracts every edge"),
-    (["--lattice", "--trim", 0.2], 2, "--trim: it gets no base"),
-    (["--lattice", "--bayonet"], 2, "--bayonet: there is no light"),
-    (["--lamp", "--base", "none", "--cable", 3], 2, "--cable: there is no light"),
+    (["--lattice", "--trim", 0.2], 2, "--trim: the object has no base"),
+    (["--lattice", "--bayonet"], 2, "--bayonet: the object has no light"),
+    (["--lamp", "--base", "none", "--cable", 3], 2, "--cable: the object has no light"),
     (["--lamp", "--light-diameter", 10, "--cable", 12], 2, "wider than half the cavity"),
-    (["--lamp", "--light", "largest", "--base", "pedestal"], 2, "take another --base"),
-    (["--solid", "--fillet"], 2, "--fillet: there are no tubes"),
-    (["--solid", "--wall", 6], 2, "closed all round"),
-    (["--solid", "--wall", 2, "--base", "none"], 2, "closed all round"),
-    (["--layer", 0.5], 2, "higher than the nozzle is wide"),
+    (["--lamp", "--light", "largest", "--base", "pedestal"], 2, "use another --base"),
+    (["--solid", "--fillet"], 2, "--fillet: the object has no tubes"),
+    (["--solid", "--wall", 6], 2, "would have no opening"),
+    (["--solid", "--wall", 2, "--base", "none"], 2, "would have no opening"),
+    (["--layer", 0.5], 2, "more than the width of the nozzle"),
     (["--cells", "--explode", 1.001], 2, "at least 1.01"),
 ]
 
@@ -330,7 +332,7 @@ def test_files_of_another_object_do_not_stay(make: Make) -> None:
 INFO = "manifold = yes\\nnumber_of_parts =  1\\n"
 SLICERS = [
     ("exit 3", "ended with 3"),
-    (f"printf '{INFO}open_edges = 4\\n'", "has to mend it (open_edges)"),
+    (f"printf '{INFO}open_edges = 4\\n'", "has to repair it (open_edges)"),
     ("printf 'manifold = no\\nnumber_of_parts = 1\\n'", "not manifold"),
     ("printf 'manifold = yes\\nnumber_of_parts = 2\\n'", "2 parts instead of 1"),
     (f"printf '{INFO}'", "the slicer wrote nothing"),

@@ -23,7 +23,7 @@ BAD = {
     "points.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\n", "no surface"),
     "word.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf one two three\n", "line 4"),
     "short.obj": (b"v 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "fewer than three"),
-    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "not there"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf 1 2 9\n", "does not exist"),
     "nan.obj": (b"v 0 0 nan\nv 1 0 0\nv 0 1 1\nf 1 2 3\n", "not finite"),
     "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "on a line"),
     "text.ply": (b"hello", "no PLY header"),
@@ -34,7 +34,7 @@ BAD = {
                  b"property float x\nproperty float y\nproperty float z\nelement face 9\n"
                  b"property list uchar int vertex_indices\nend_header\n", "more elements"),
     "short.stl": (b"solid nothing at all", "trimesh cannot read it|no surface"),
-    "paper.pdf": (b"%PDF", "not read"),
+    "paper.pdf": (b"%PDF", "cannot be read"),
 }  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def test_obj_with_groups_lines_points_and_indices_from_the_end(tmp_path: Path) -
     assert other.vertex_count == mesh.vertex_count == 162
     assert np.array_equal(mesh.vertices[mesh.face_vertices], other.vertices[other.face_vertices])
     (tmp_path / "beyond.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 1\nf -1 -2 -4\n")
-    with pytest.raises(InputError, match="a face names a vertex that is not there"):
+    with pytest.raises(InputError, match="a face refers to a vertex that does not exist"):
         load(tmp_path / "beyond.obj")
 
 
@@ -117,7 +117,7 @@ def test_concave_faces_are_triangulated(turned: bool, tmp_path: Path) -> None:
 
 def test_packed_files_are_to_be_unpacked(tmp_path: Path) -> None:
     (tmp_path / "ball.stl.xz").write_bytes(b"\xfd7zXZ\0")
-    with pytest.raises(InputError, match="is packed; unpack it"):
+    with pytest.raises(InputError, match="is compressed; unpack it"):
         MeshSource(tmp_path / "ball.stl.xz")
 
 

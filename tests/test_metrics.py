@@ -120,7 +120,7 @@ def test_protocols_are_named_with_what_was_changed(name: str, heart_run: Path, c
     found = json.loads((heart_run / "evaluate-init.json").read_text())["metrics"]
     assert found["protocol"]["threshold"] == threshold
     assert found["gates"]["closed"] is True
-    assert found["gates"]["topology"] == "not known: that of the reference is not"
+    assert found["gates"]["topology"] == "not known: the topology of the reference is not known"
     for path in heart_run.glob("evaluate-init.*"):
         path.unlink()
 
@@ -173,5 +173,5 @@ def test_a_surface_where_no_points_are_is_named(tmp_path: Path) -> None:
     )
     filled = departures(written, source, true_surface(source, frame, 1), frame, 1)
     assert filled.enclosed == filled.input.far == pytest.approx(400 / len(within))
-    assert "no points of a surface" in "".join(filled.warnings(0.5))
+    assert "check whether they belong to the surface" in "".join(filled.warnings(0.5))
     assert "nothing was measured there" in found.warnings(0.5)[0]

@@ -101,7 +101,7 @@ def test_a_name_that_does_not_say_what_is_packed(tmp_path: Path) -> None:
         identify(str(path)).open().bounding_box()
     path = tmp_path / "ball.tar.gz"
     path.write_bytes(gzip.compress(b"anything"))
-    with pytest.raises(InputError, match="is packed; unpack it"):
+    with pytest.raises(InputError, match="is compressed; unpack it"):
         identify(str(path)).open().bounding_box()
 
 

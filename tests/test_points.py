@@ -274,10 +274,10 @@ def test_a_run_on_points(tmp_path: Path, cli: Cli) -> None:
 
 def test_options_that_do_not_fit(tmp_path: Path, cli: Cli) -> None:
     for words, said in (
-        (["sphere", "--noise", 0.1], "only points have noise"),
+        (["sphere", "--noise", 0.1], "--noise: needs a point cloud"),
         (["sphere", "--kind", "mesh"], "no such file"),
         (["sphere", "--kind", "cloud"], "must be one of mesh, points, field"),
-        (["--kind", "mesh"], "give one"),
+        (["--kind", "mesh"], "give an INPUT"),
     ):
         done = cli("classify", *words, cwd=tmp_path)
         assert done.returncode in (2, 3), done.stderr

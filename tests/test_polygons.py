@@ -273,7 +273,7 @@ def test_polygons_of_a_part_with_plane_sides(tmp_path: Path, cli: Cli) -> None:
     assert result(tmp_path / "box.vorolight")["polygons"]["share"] <= 0.2
     refused = cli("sphere-train", "--run", "box.vorolight", "--polygon-share", 0.2, cwd=tmp_path)
     assert refused.returncode == 2
-    assert "add --faces polygon" in refused.stderr
+    assert "applies to --faces polygon only" in refused.stderr
 
 
 def test_no_polygon_at_all_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -116,12 +116,12 @@ def test_a_folder_of_its_own_goes_with_the_result() -> None:
     ("shape", "options", "words"),
     [
         ("sphere", {"until": "print"}, "must be one of classify"),
-        ("sphere", {"train": {}}, "train: is no stage of this run"),
-        ("sphere", {"init": {"steps": 3}}, "steps is none of its options: "),
-        ("sphere", {"volume": {}}, "volume: is no stage of this run"),
+        ("sphere", {"train": {}}, "train: is not a stage of this run"),
+        ("sphere", {"init": {"steps": 3}}, "steps is not one of its options: "),
+        ("sphere", {"volume": {}}, "volume: is not a stage of this run"),
         ((np.zeros((3, 3)), np.array([[0, 1, 3]])), {}, "numbers of vertices"),
         ((np.zeros((3, 2)), np.array([[0, 1, 2]])), {}, "vertices (V, 3)"),
-        ([1, 2, 3], {}, "a list is no path"),
+        ([1, 2, 3], {}, "a list is not a path"),
     ],
 )
 def test_what_does_not_fit_is_refused(

@@ -374,11 +374,11 @@ def test_other_shapes_are_said_to_be_other(heart_run: Path, tmp_path: Path, cli:
 @pytest.mark.parametrize(
     ("words", "code", "reason"),
     [
-        (["RUN"], 2, "two run folders"),
+        (["RUN"], 2, "two or more run folders"),
         (["RUN", "RUN"], 2, "given twice"),
         (["RUN", "nowhere"], 4, "no such run folder"),
         (["RUN", "."], 4, "no stage is done"),
-        (["RUN", ".", "-o", "no/such/page.html"], 2, "another with -o"),
+        (["RUN", ".", "-o", "no/such/page.html"], 2, "another file with -o"),
     ],
     ids=["one", "twice", "nowhere", "no run", "no folder"],
 )

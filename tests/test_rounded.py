@@ -77,7 +77,7 @@ def test_slightly_round_edges_are_creases_however_they_are_turned(
 
 
 def test_what_is_rounder_has_none(tmp_path: Path) -> None:
-    # Where the sides would meet is .41 of the radius off the surface.
+    # Where the sides would meet is 0.41 of the radius off the surface.
     assert found(tmp_path, box(0.4, 1)) == []
     assert found(tmp_path, sphere_mesh(5.0, 5)) == []
     vertices, triangles = sphere_mesh(1.0, 6)
@@ -86,8 +86,8 @@ def test_what_is_rounder_has_none(tmp_path: Path) -> None:
 
 def test_creases_under_noise(tmp_path: Path) -> None:
     mesh = box(0.0, 3, 0.03)
-    # Edges of .15 and a noise of .03: normals are off by ten degrees and more, and planes through
-    # points within .5 are off by about as much as the noise.
+    # Edges of 0.15 and a noise of 0.03: normals are off by ten degrees and more, and planes through
+    # points within 0.5 are off by about as much as the noise.
     chains = found(tmp_path, mesh)
     there, back = distances(chains, edges(3))
     assert np.median(there) < 0.08
@@ -96,7 +96,7 @@ def test_creases_under_noise(tmp_path: Path) -> None:
 
 
 def line(*points: tuple[float, float, float]) -> Chain:
-    """Straight between ``points``, with places .2 apart."""
+    """Straight between ``points``, with places 0.2 apart."""
     parts = [
         np.linspace(a, b, 1 + round(5 * float(np.linalg.norm(np.subtract(b, a)))))
         for a, b in pairwise(points)
@@ -179,5 +179,5 @@ def test_points_of_a_box_get_its_edges(tmp_path: Path, cli: Cli) -> None:
     assert done.returncode == 0, done.stderr
     rim = figures("evaluate-sphere-train")["creases"]
     assert rim["edge_f1"] > 0.93
-    # Without creases these are rounded by about .1.
+    # Without creases these are rounded by about 0.1.
     assert rim["distance_median"] < 0.05

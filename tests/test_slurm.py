@@ -75,7 +75,7 @@ def test_a_shape_that_fails_takes_only_its_own_jobs_along(tmp_path: Path) -> Non
     assert not (tmp_path / "runs" / "bad.vorolight").exists()
     assert shown(f"{jobs['classify']}_1", "ExitCode") == "3:0"
     (log,) = tmp_path.glob(f"slurm-logs/*/vorolight-classify-{jobs['classify']}_1.out")
-    assert "vorolight: bad.obj: holds 0 vertices" in log.read_text()
+    assert "vorolight: bad.obj: has 0 vertices" in log.read_text()
 
 
 @pytest.fixture(scope="module")

@@ -237,7 +237,7 @@ def test_faces_and_refinement_of_a_run(tmp_path: Path, cli: Cli) -> None:
     assert record["warnings"] == []
     record = trained("--edge-length", 1.2, "--refine", 0.001, "--faces-target", 600)
     assert record["metrics"]["trained_faces"] <= 600
-    assert any("raise --faces-target or the bound" in said for said in record["warnings"])
+    assert any("raise --faces-target or --refine" in said for said in record["warnings"])
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_parts_within_others_are_solid_or_hollow_as_is_asked_for(tmp_path: Path)
     assert source.topology() == (8, 4)
     volume = enclosed_volume(source.vertices, source.triangles)
     assert volume == pytest.approx(2 - 0.6**3 + 0.2**3, rel=1e-6)
-    assert "each second one is taken as a hollow" in source.warnings()[0]
+    assert "every second one becomes a hollow" in source.warnings()[0]
     # Of a cavity that faces inward nothing has to be said.
     vertices, triangles = cubes((0, 0, 0), (0, 0, 0), turned=1)
     vertices[8:] = 0.6 * (vertices[8:] - 0.5) + 0.5
@@ -131,7 +131,7 @@ def test_parts_that_touch_are_closed(
     source = MeshSource(write_ply(tmp_path / "touch.ply", vertices, triangles))
     assert source.topology() == expected
     assert source.open_edges == 0
-    assert f"{left_out} of its 24 faces are left out" in source.warnings()[0]
+    assert f"{left_out} of its 24 faces, which are doubled" in source.warnings()[0]
 
 
 def test_walls_between_stacked_boxes_are_left_out(tmp_path: Path) -> None:

@@ -357,7 +357,7 @@ def spoil_normal(folder: Path) -> None:
         (spoil_full, "003_mask.png: the mask covers the whole picture"),
         (spoil_alpha, "003.png: has no alpha channel, no mask beside it, and no background of one"),
         (spoil_blank, "003.png: has no alpha channel, no mask beside it, and one colour"),
-        (spoil_few, "holds 1 views"),
+        (spoil_few, "has 1 views"),
         (spoil_lens, "distorts \\(k1\\)"),
         (spoil_model, "camera model FISHEYE"),
         (spoil_json, "not a readable set of views"),
@@ -400,11 +400,11 @@ def test_a_change_of_any_picture_changes_the_input(copied: Path) -> None:
 def test_a_folder_without_cameras_is_no_input(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder without cameras"):
         identify(str(tmp_path))
-    with pytest.raises(InputError, match="is a folder; --kind mesh asks for a file"):
+    with pytest.raises(InputError, match="is a folder, but --kind mesh needs a file"):
         identify(str(tmp_path), "mesh")
 
 
 def test_a_set_is_not_replaced_unasked(torus: Path, tmp_path: Path) -> None:
     mesh = write_ply(tmp_path / "ball.ply", *sphere_mesh(1.0, 2))
-    with pytest.raises(UsageError, match="there is a set of views already"):
+    with pytest.raises(UsageError, match="a set of views exists there"):
         write_views(mesh, torus, 2, 32, None, 0, False, 1)

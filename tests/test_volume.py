@@ -204,8 +204,8 @@ def test_options_that_contradict_are_refused(heart_run: Path, cli: Cli) -> None:
     for words, said in (
         (["--inner", 0], "--inner 0: must be from 1"),
         (["--spacing", 0], "--spacing 0: must be more than 0"),
-        (["--spacing", 0.1, "--inner", 5], "--spacing: says how many inner generators there are"),
-        (["--grading", 0.3, "--cvt", "paper"], "the paper's CVT loss has no density"),
+        (["--spacing", 0.1, "--inner", 5], "--spacing and --inner both set"),
+        (["--grading", 0.3, "--cvt", "paper"], "--cvt paper makes cells of one size only"),
         (["--spacing", 1e-5, "--max-memory", 1e6], "asks for"),
         (["--spacing", 50], "asks for 0 inner generators"),
     ):
@@ -270,4 +270,4 @@ def test_more_inner_generators_than_the_surface_has(tmp_path: Path, cli: Cli) ->
     done = cli("run", "sphere", *words, "--until", "volume", "--inner", 1200, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "no certificate" in done.stderr
-    assert "0 faces of the surface have other corners" not in done.stderr
+    assert "0 outer faces of the cells have other corners" not in done.stderr

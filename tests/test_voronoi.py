@@ -114,7 +114,8 @@ def test_a_backend_that_fails_is_stood_in_for(monkeypatch: pytest.MonkeyPatch) -
         found = in_passing(points)
     assert np.array_equal(found.corners, delaunay(points).corners)
     assert used.warning() == (
-        "--backend shull failed in 1 of 1 diagrams (internal corruption); scipy did those"
+        "--backend shull failed in 1 of 1 diagrams (internal corruption); "
+        "scipy computed those instead"
     )
 
 

@@ -17,7 +17,6 @@ from vorolight.stages import pipeline, standing
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.contract import Stage
 from vorolight.stages.errors import UsageError, VorolightError
-from vorolight.stages.run import stages_until
 
 from . import completion, signals, summary
 from .collect import collect
@@ -27,6 +26,7 @@ from .doctor import doctor
 from .epilog import EPILOG
 from .export import export
 from .gating import gating
+from .panels import Panels
 from .parameters import Function, add_options, build, parameter_names
 from .sbatch import sbatch
 from .session import (
@@ -42,8 +42,9 @@ from .views import from_image, views
 HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
     name="vorolight",
-    help="Smooth, watertight polygonal Voronoi surfaces from any shape, volumetric Voronoi meshes "
-    "inside them, and printable lamps made of them.",
+    cls=Panels,
+    help="Turn any shape into a smooth, closed Voronoi surface with a certificate, fill it with "
+    "Voronoi cells, and make a lamp of it that you can print.",
     epilog=EPILOG,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -68,7 +69,7 @@ FIRST = ("init", "baseline")
 
 
 def _taken(template: Function, given: dict[str, Any]) -> Any:
-    """Call ``template`` with its parameters, taken out of ``given``."""
+    """Call ``template`` with its parameters, which are removed from ``given``."""
     return template(**{name: given.pop(name) for name in inspect.signature(template).parameters})
 
 
@@ -80,20 +81,23 @@ def _until(
         ),
     ] = "fabricate",
 ) -> str:
-    stages_until(until, "views")  # refuses what is none
+    standing.stages_until(until, "views")  # refuses what is not a stage
     return until
 
 
 def _preview(
     preview: Annotated[
-        bool, typer.Option("--preview", help="Draw what was understood, to classify.png.")
+        bool,
+        typer.Option(
+            "--preview", help="Draw the voxels and a slice through the shape to classify.png."
+        ),
     ] = False,
 ) -> bool:
     return preview
 
 
 def guarded(function: Function) -> Function:
-    """Errors become one sentence on stderr and the exit code of their kind."""
+    """Turn errors into one sentence on stderr and the exit code of their kind."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
@@ -110,16 +114,17 @@ def guarded(function: Function) -> Function:
             if kwargs.get("verbose"):
                 traceback.print_exc()
             place = error.filename or "a file"
-            said = plain(f"{place}: {error.strerror or error}; mend that, and run again")
-            print(f"vorolight: {said}", file=sys.stderr)
+            text = plain(f"{place}: {error.strerror or error}; remove the cause and run again")
+            print(f"vorolight: {text}", file=sys.stderr)
             raise typer.Exit(UsageError.exit_code) from None
-        # Whatever else arrives here is a fault of ours; the user still gets one sentence.
+        # Any other exception is a fault of vorolight; the user still gets one sentence.
         except Exception as error:
             if kwargs.get("verbose"):
                 traceback.print_exc()
             kind = type(error).__name__
             print(
-                f"vorolight: internal error ({kind}: {error}); run again with -v and report it",
+                f"vorolight: internal error ({kind}: {error}); run again with -v and report the "
+                "traceback",
                 file=sys.stderr,
             )
             raise typer.Exit(1) from None
@@ -128,7 +133,7 @@ def guarded(function: Function) -> Function:
 
 
 def _execute(common: Common, name: str, params: Any) -> bool:
-    """Run one stage or say what would run; True if it ran or would run."""
+    """Run one stage, or with --dry-run print what would run. True if it ran or would run."""
     console, session = common.console, common.session
     if common.dry_run:
         standing.check_same_input(session.folder, session.input)
@@ -156,15 +161,15 @@ def _stage_command(name: str) -> None:
 
     def command(**given: Any) -> None:
         names = parameter_names(served)
-        insisted = _taken(gating, given) if name == "evaluate" else None
+        gates = _taken(gating, given) if name == "evaluate" else None
         preview = name == "classify" and _taken(_preview, given)
         common = _taken(common_options, given)
         params = build(stage, given, common.config, names[name])
         if name in FIRST and _classify_first(name, common, given, names["classify"]):
             return
         _execute(common, name, params)
-        if insisted and not common.dry_run:
-            insisted.check(common.session.folder, stage.stem_of(params))
+        if gates and not common.dry_run:
+            gates.check(common.session.folder, stage.stem_of(params))
         if preview and not common.dry_run:
             _draw(common)
 
@@ -173,8 +178,11 @@ def _stage_command(name: str) -> None:
 
 
 def _register(name: str, command: Function, templates: list[Function], served: list[Stage]) -> None:
-    """Add a command. Its options are put together only if it may be the one that is called, or that
-    a shell asks to complete: for all of them that takes as long as the rest of ``--help``."""
+    """Add a command.
+
+    Its options are built only if the command may be the one that is called, or that a shell asks to
+    complete: building those of all commands takes as long as the rest of ``--help``.
+    """
     completed = (os.environ.get(key, "") for key in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))
     if name in [*sys.argv, *" ".join(completed).split()]:
         command = guarded(add_options(command, templates, served))
@@ -203,15 +211,17 @@ def _draw(common: Common) -> None:
 def _classify_first(
     name: str, common: Common, given: dict[str, Any], names: dict[str, str]
 ) -> bool:
-    """Bring classify up to date; what is not said again stays as recorded. True after a dry run
-    in which classify would run, and stage ``name`` therefore too."""
+    """Bring classify up to date; options that are not given stay as recorded.
+
+    True after a dry run in which classify would run, and therefore stage ``name`` too.
+    """
     session = common.session
     stage = standing.get("classify")
     stored = session.folder.manifest("classify")
     recorded = stored["params"] if stored else None
     params = build(stage, given, common.config, names, recorded)
-    said = any(given.get(name) is not None for name in names.values()) or common.seed is not None
-    seed = stored["seed"] if stored and not said else session.seed
+    changed = any(given.get(name) is not None for name in names.values()) or common.seed is not None
+    seed = stored["seed"] if stored and not changed else session.seed
     unforced = replace(common, session=replace(session, force=False, seed=seed))
     ran = _execute(unforced, "classify", params)
     if common.dry_run and ran:
@@ -225,14 +235,14 @@ def _run_command() -> None:
     stages = [standing.get(name) for name in standing.ORDER]
 
     def command(**given: Any) -> None:
-        """Run all stages, from INPUT to the printable object, and write the report.
+        """Run all stages, from INPUT to the object to print. Writes the report at the end.
 
         Example: vorolight run bunny.obj -n 25 --lamp
         """
         names = parameter_names(stages)
         until = _taken(_until, given)
         common = _taken(common_options, given)
-        # Without an INPUT the run goes on at the resolution it was begun with.
+        # Without an INPUT the run continues at its recorded resolution.
         stored = None if common.session.input else common.session.folder.manifest("classify")
         recorded = {"classify": stored["params"]} if stored else {}
         planned = {
@@ -243,7 +253,7 @@ def _run_command() -> None:
         }
         first: str | None = None
         source = standing.input_of(common.session)
-        for name in stages_until(until, "" if source is None else source.kind):
+        for name in standing.stages_until(until, "" if source is None else source.kind):
             if first is not None:
                 common.console.say(f"{name}: would run ({first} changed)")
                 common.console.data(
@@ -251,7 +261,7 @@ def _run_command() -> None:
                 )
                 continue
             ran = _execute(common, name, planned[name])
-            # What nothing else reads makes nothing else stale.
+            # The results of these stages are not read by others, so they make no other stage stale.
             if common.dry_run and ran and name not in ("volume", "shade", "evaluate"):
                 first = name
         if not common.dry_run:
@@ -271,12 +281,13 @@ def _write_report(folder: RunFolder, console: Console, pictures: Path | None = N
 def report(
     run: Run = None,
     pictures: Annotated[
-        Path | None, typer.Option("--pictures", help="A folder to write the pictures to as PNG.")
+        Path | None,
+        typer.Option("--pictures", help="Write the pictures as PNG files to this folder too."),
     ] = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write report.html: what was measured, with pictures, from whatever stages are done.
+    """Write a page with the pictures and figures of a run. It covers the stages that are done.
 
     Example: vorolight report --run bunny.vorolight
     """
@@ -293,10 +304,10 @@ def sample(
             autocompletion=completion.choices(completion.samples),
         ),
     ],
-    force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write a sample mesh, or the sample points, to the current folder.
+    """Write a sample mesh or point cloud to the current folder.
 
     Example: vorolight sample bunny
     """
@@ -306,9 +317,11 @@ def sample(
     source = find(name)
     target, data = Path(source.name), source.read_bytes()
     if target.is_dir():
-        raise UsageError(f"{target}: is a folder; rename it")
+        raise UsageError(f"{target}: is a folder; rename it and run again")
     if target.exists() and target.read_bytes() != data and not force:
-        raise UsageError(f"{target}: is there and is another file; rename it, or use --force")
+        raise UsageError(
+            f"{target}: exists with other contents; rename it, or replace it with --force"
+        )
     atomic.write(target, data)
     print(target)
 
@@ -346,7 +359,7 @@ def _build() -> None:
 
 def main() -> None:
     """Entry point of the console script."""
-    # torch's threads would spin between its operations and keep scipy's from the cores.
+    # torch's threads would spin between its operations and keep the cores from scipy.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     # CUDA's linear algebra gives the same bits every time only with a workspace of its own.
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

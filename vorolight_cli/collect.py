@@ -17,27 +17,27 @@ from .session import Quiet, Verbose
 def collect(
     runs: Annotated[
         list[Path],
-        typer.Argument(help="Run folders, or folders that hold some (*.vorolight)."),
+        typer.Argument(help="Run folders, or folders that contain run folders (*.vorolight)."),
     ],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", help="A .csv or .parquet to write; - prints CSV."),
+        typer.Option("--output", "-o", help="The .csv or .parquet file to write; - prints CSV."),
     ] = Path("-"),
     columns: Annotated[
         list[str] | None,
         typer.Option(
             "--columns",
             metavar="PATTERN",
-            help="Only the columns that match, such as 'evaluate-*.chamfer.*', besides run and "
-            "error. May be given several times.",
+            help="Keep only the columns that match, such as 'evaluate-*.chamfer.*'; run and error "
+            "always stay. May be given several times.",
             show_default=False,
         ),
     ] = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make one table of many runs: a row for each, with its input, options, states of its stages,
-    times, memory, and every figure of its manifests as stage.figure.
+    """Write one table of many runs. A run is a row: its input, its options, the state of each
+    stage, times, memory, and every figure of its manifests as stage.figure.
 
     Example: vorolight collect runs/ -o runs.csv --columns 'evaluate-*'
     """
@@ -47,15 +47,15 @@ def collect(
     printed = str(output) == "-"
     if not printed:
         if output.suffix not in (".csv", ".parquet"):
-            raise UsageError(f"{output}: must end with .csv or .parquet, or be -")
+            raise UsageError(f"{output}: must end with .csv or .parquet, or be - to print CSV")
         if output.is_dir() or not output.parent.is_dir():
-            raise UsageError(f"{output}: not a file that can be written; name another with -o")
+            raise UsageError(f"{output}: cannot be written there; give another file with -o")
         if output.suffix == ".parquet":
             collection.require_parquet()
     console = Console(0 if quiet else 1, False, False)
     folders = collection.run_folders(runs)
 
-    def told(number: int, row: dict[str, collection.Value]) -> None:
+    def report(number: int, row: dict[str, collection.Value]) -> None:
         if row["error"] is not None:
             console.warn(f"{row['run']}: {row['error']}")
         if len(folders) >= MANY:
@@ -63,7 +63,7 @@ def collect(
 
     console.start("collect", len(folders))
     try:
-        found = collection.gather(folders, told)
+        found = collection.gather(folders, report)
     finally:
         console.finish()
     found = collection.selected(found, columns or [])
@@ -76,4 +76,4 @@ def collect(
 
 
 MANY = 200
-"""Runs from which on it is said how far the reading is."""
+"""From this many runs on, progress is shown."""

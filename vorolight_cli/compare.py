@@ -16,7 +16,7 @@ from .session import Quiet, Verbose
 
 
 def outdated(folder: RunFolder) -> dict[str, str]:
-    """Why results of a run that are there are out of date, by the names of their files."""
+    """Why existing results of a run are stale, by the names of their files."""
     return {
         found.stage.stem_of(found.params): found.reason
         for found in standing.overall(standing.Session(folder=folder))
@@ -25,29 +25,31 @@ def outdated(folder: RunFolder) -> dict[str, str]:
 
 
 def compare(
-    runs: Annotated[list[Path], typer.Argument(help="Run folders, two or more.")],
+    runs: Annotated[list[Path], typer.Argument(help="Two or more run folders.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The page to write.")] = Path(
         "compare.html"
     ),
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Put runs side by side on one page: figures, parameters, times, and surfaces that turn
-    together.
+    """Put runs side by side on one page. The page shows their figures, parameters and times, and
+    surfaces that turn together.
 
     Example: vorolight compare bunny.vorolight finer.vorolight
     """
     from vorolight.stages.report import comparison
 
     if len(runs) < 2:
-        raise UsageError(f"{runs[0]}: one run is no comparison; give two run folders or more")
+        raise UsageError(
+            f"{runs[0]}: there is nothing to compare with; give two or more run folders"
+        )
     if len({path.resolve() for path in runs}) < len(runs):
-        raise UsageError("a run folder is given twice; give different ones")
+        raise UsageError("a run folder is given twice; give different run folders")
     for path in runs:
         if not path.is_dir():
-            raise ArtifactError(f"{path}: no such run folder")
+            raise ArtifactError(f"{path}: no such run folder; check the path")
     if output.is_dir() or not output.parent.is_dir():
-        raise UsageError(f"{output}: not a file that can be written; name another with -o")
+        raise UsageError(f"{output}: cannot be written there; give another file with -o")
     folders = [RunFolder(path) for path in runs]
     found = comparison.opened(folders, [outdated(folder) for folder in folders])
     differs = comparison.difference(found)

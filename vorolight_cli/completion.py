@@ -1,4 +1,4 @@
-"""What a shell offers for an option's value."""
+"""What a shell offers as the value of an option."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Completion = Callable[[str], list[str]]
 
 
 def choices(found: Callable[[], Iterable[str]]) -> Completion:
-    """Offers what ``found`` gives, which is called only when a shell asks."""
+    """Offers the values of ``found``, which is called only when a shell asks."""
 
     def complete(incomplete: str) -> list[str]:
         return [value for value in found() if value.startswith(incomplete)]
@@ -42,7 +42,8 @@ def stages() -> Iterable[str]:
 
 
 def input_field(incomplete: str) -> list[str]:
-    """Built-in fields, where no file begins so: then the shell offers the files."""
+    """Offers built-in fields if no file begins with these letters; otherwise the shell offers the
+    files."""
     from vorolight.stages.sources.fields import FIELDS
 
     if not incomplete or any(Path().glob(f"{incomplete}*")):

@@ -1,4 +1,4 @@
-"""What the user sees: progress on stderr, results on stdout."""
+"""Output for the user: progress on stderr, results on stdout."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ BAR = 24
 
 
 class Console:
-    """Progress and messages as the output can show them: a bar on a terminal, lines elsewhere."""
+    """Progress and messages in the form that the output can show: a bar on a terminal, lines
+    elsewhere."""
 
     def __init__(self, verbosity: int, as_json: bool, color: bool) -> None:
         self.verbosity = verbosity
@@ -73,8 +74,8 @@ class Console:
 
 
 def plain(text: str) -> str:
-    """``text`` on one line, without what a terminal would obey: names of files and manifests may
-    hold anything."""
+    """``text`` on one line, without control characters: names of files and manifests may contain
+    anything."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

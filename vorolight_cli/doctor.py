@@ -1,4 +1,4 @@
-"""``vorolight doctor``: whether everything is here and works."""
+"""``vorolight doctor``: check the installation and the machine."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def doctor(
         typer.Option(
             "--run",
             envvar="VOROLIGHT_RUN",
-            help="Where runs are to be written. Default: the current folder.",
+            help="The folder in which runs will be written. Default: the current folder.",
             show_default=False,
         ),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print a JSON object per check.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per check.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Say whether everything that vorolight needs is here and works: libraries and their versions,
-    processors, memory, the disk that runs are written to, programs beside it. Ends with 0 unless
-    something is a problem, with 69 if so. Nothing is left behind.
+    """Check the installation and the machine. It looks at libraries and their versions, processors,
+    memory, the disk of the run folders, and optional programs. The exit code is 0 without problems
+    and 69 with a problem. It leaves no files behind.
 
     Example: vorolight doctor --run /scratch/runs
     """
@@ -46,4 +46,4 @@ def doctor(
             problems.append(finding.name)
     if problems:
         many = "a problem" if len(problems) == 1 else f"{len(problems)} problems"
-        raise BackendMissing(f"{many} found ({', '.join(problems)}); do what is said there")
+        raise BackendMissing(f"{many} found ({', '.join(problems)}); follow the advice above")

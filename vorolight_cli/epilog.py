@@ -6,20 +6,20 @@ from vorolight.stages.errors import VorolightError
 from vorolight.stages.fabrication.slicer import VARIABLE
 
 CODES = {
-    "0": "Done, or up to date.",
-    "1": "A fault of vorolight itself; run again with -v and report it.",
+    "0": "Finished, or everything was up to date.",
+    "1": "A fault in vorolight; run again with -v and report the traceback.",
     **{
         str(kind.exit_code): str(kind.__doc__).split("\n\n")[0]
         for kind in VorolightError.__subclasses__()
     },
-    "130": "Stopped by SIGINT; the same command resumes.",
-    "143": "Stopped by SIGTERM; the same command resumes.",
+    "130": "Stopped by SIGINT; the same command continues.",
+    "143": "Stopped by SIGTERM; the same command continues.",
 }
 VARIABLES = {
-    "VOROLIGHT_RUN": "The run folder, where --run is not given.",
-    VARIABLE: "The slicer's command.",
-    "NO_COLOR": "If set, no colours.",
-    "NUMBA_CACHE_DIR": "Where compiled loops are kept.",
+    "VOROLIGHT_RUN": "The run folder if --run is not given.",
+    VARIABLE: "The command of the slicer.",
+    "NO_COLOR": "Print without colours if set.",
+    "NUMBA_CACHE_DIR": "The folder for compiled loops.",
 }
 
 

@@ -19,13 +19,15 @@ FORMATS = "vtu|openfoam|ovm|vtu-tetrahedra|msh|inp|ply|hdf5"
 def export(
     target: Annotated[
         Path,
-        typer.Argument(help="A file to write, .vtu, .ovm, .msh, .inp, .ply or .h5; or a folder."),
+        typer.Argument(
+            help="The file to write (.vtu, .ovm, .msh, .inp, .ply or .h5), or a folder."
+        ),
     ],
     run: Run = None,
     format: Annotated[
         str | None,
         typer.Option(
-            help=f"[{FORMATS}] Default: by the suffix; openfoam takes a folder.",
+            help=f"File format [{FORMATS}]. Default: by the suffix; openfoam writes a folder.",
             autocompletion=completion.choices(lambda: FORMATS.split("|")),
             show_default=False,
         ),
@@ -33,15 +35,16 @@ def export(
     cut: Annotated[
         str | None,
         typer.Option(
-            help="Only the cells whose generators lie below x=0.1 (or y, z), or above with x>0.1.",
+            help="Keep only the cells whose generators lie below a plane (x=0.1) or above it "
+            "(x>0.1); y and z work too.",
             show_default=False,
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write the polyhedral cells of stage volume for other programs.
+    """Write the cells of stage volume for other programs.
 
     Example: vorolight export case --format openfoam --run bunny.vorolight
     """
@@ -54,7 +57,7 @@ def export(
     for found in standing.overall(standing.Session(folder=folder)):
         if found.stage.name == "volume" and found.manifest is not None and found.reason:
             raise ArtifactError(
-                f"{folder.path}: the volume is stale ({found.reason}); run: vorolight volume"
+                f"{folder.path}: the cells are stale ({found.reason}); run: vorolight volume"
             )
     written = write(folder, target, form, cut, force)
     if not quiet:

@@ -1,4 +1,4 @@
-"""What ``evaluate`` can be told to insist on: its gates, and thresholds of the user's."""
+"""What ``evaluate`` can require: its gates, and bounds that the user gives."""
 
 from __future__ import annotations
 
@@ -16,25 +16,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gating:
-    """Whether all gates must hold, and what figures must be."""
+    """Whether all gates must pass, and the bounds on figures."""
 
     strict: bool
     requirements: list[Requirement]
 
     def check(self, folder: RunFolder, stem: str) -> None:
-        """Raise GateFailure for what the evaluation ``stem`` found not to be so, and UsageError
-        for requirements on figures that it does not have."""
+        """Raise GateFailure for gates and bounds that the evaluation ``stem`` does not meet, and
+        UsageError for bounds on figures that it does not have."""
         from vorolight.stages.metrics.gates import failed
 
         metrics: dict[str, Any] = (folder.manifest(stem) or {})["metrics"]
         faults = [item.fault(metrics) for item in self.requirements]
         faults += failed(metrics).values() if self.strict else []
-        said = [fault for fault in faults if fault is not None]
-        if not said:
+        failures = [fault for fault in faults if fault is not None]
+        if not failures:
             return
         marked = folder.file(stem, "defects.ply")
-        where = f"; all of them are in {marked}" if self.strict and marked.is_file() else ""
-        raise GateFailure(f"{folder.path}: {metrics['of']}: {'; '.join(said)}{where}")
+        where = (
+            f"; the faulty places are marked in {marked}"
+            if self.strict and marked.is_file()
+            else ""
+        )
+        raise GateFailure(f"{folder.path}: {metrics['of']}: {'; '.join(failures)}{where}")
 
 
 def gating(
@@ -42,16 +46,16 @@ def gating(
         bool,
         typer.Option(
             "--strict",
-            help="Exit with 5 unless the surface is closed, manifold, oriented, free of "
-            "self-intersections, of the reference's topology, and certified if that was claimed.",
+            help="End with exit code 5 unless the surface is closed, manifold, oriented, free of "
+            "self-intersections, of the reference's topology, and certified if it claims to be.",
         ),
     ] = False,
     require: Annotated[
         list[str] | None,
         typer.Option(
             "--require",
-            help='Exit with 5 unless a figure is so: "f1>=0.98", "euler_number==2". May be given '
-            "several times.",
+            help='End with exit code 5 unless a figure meets a bound, such as "f1>=0.98" or '
+            '"euler_number==2". May be given several times.',
             show_default=False,
         ),
     ] = None,

@@ -1,4 +1,5 @@
-"""From Params dataclasses to command-line options and back; nothing is declared twice."""
+"""Convert Params dataclasses to command-line options and back, so that nothing is declared
+twice."""
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ Function = Callable[..., Any]
 
 
 def parameter_names(stages: Sequence[Stage]) -> dict[str, dict[str, str]]:
-    """For each stage the name of each of its options on a command line that serves ``stages``.
+    """For each stage, the name of each of its options on a command line that runs ``stages``.
 
-    An option that several of them have gets its stage's name in front.
+    An option that several of them have gets the name of its stage in front.
     """
     uses: dict[str, int] = {}
     for stage in stages:
@@ -48,22 +49,22 @@ def _annotation(option: Option, name: str, group: str) -> Any:
         flags = [f"{flag}/--no-{flag[2:]}"]
     else:
         flags = [flag] + ([option.short] if option.short and name == option.name else [])
-    shown: Any = option.default
-    if option.default is None or option.type is bool:
-        shown = "no" if option.default is False else "yes" if option.default else False
-    else:
-        shown = f"{option.default:g}" if option.type is float else str(option.default)
     meaning = option.meaning
     if get_origin(option.type) is not None:
         meaning += f" [{'|'.join(get_args(option.type))}]"
     elif option.limits is not None:
         meaning += f" ({option.limits})"
-    # Choices and limits are checked by the Params, so that every way in gives the same sentence.
+    if option.default not in (None, ""):
+        shown = option.default
+        if option.type is bool:
+            shown = "yes" if shown else "no"
+        meaning += f" [default: {shown:g}]" if option.type is float else f" [default: {shown}]"
+    # Choices and limits are checked by the Params, so that every caller gets the same sentence.
     plain = option.type if option.type in (int, float, bool) and option.length is None else str
     return Annotated[
         plain | None,
         typer.Option(
-            *flags, help=meaning, show_default=shown, rich_help_panel=f"Options of {group}",
+            *flags, help=meaning, show_default=False, rich_help_panel=f"Options of {group}",
             autocompletion=_completion(option),
         ),
     ]  # fmt: skip
@@ -120,11 +121,12 @@ def read_config(path: Path | None, stages: Sequence[str]) -> dict[str, dict[str,
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"{path}: not a readable TOML file ({error}); correct it") from error
+        raise UsageError(f"{path}: cannot be read as TOML ({error}); correct it") from error
     for name, values in content.items():
         if name not in stages or not isinstance(values, dict):
             raise UsageError(
-                f"{path}: [{name}] is no stage; tables are {', '.join(f'[{s}]' for s in stages)}"
+                f"{path}: [{name}] is not a stage; the stages are "
+                f"{', '.join(f'[{s}]' for s in stages)}"
             )
     return content
 
@@ -136,7 +138,7 @@ def build(
     names: dict[str, str],
     recorded: dict[str, Any] | None = None,
 ) -> Params:
-    """A stage's Params: the command line over the config file over what was recorded over defaults.
+    """A stage's Params, in this order: command line, config file, recorded values, defaults.
 
     Raises UsageError for values that do not fit.
     """
@@ -145,7 +147,9 @@ def build(
     for key, value in config.get(stage.name, {}).items():
         name = key.replace("-", "_")
         if name not in known:
-            raise UsageError(f"[{stage.name}] {key}: no such option; see vorolight {stage.name} -h")
+            raise UsageError(
+                f"[{stage.name}] {key}: no such option; vorolight {stage.name} -h lists the options"
+            )
         values[name] = value
     for name in known:
         if given.get(names[name]) is not None:

@@ -28,7 +28,11 @@ Text = str | None
 def sbatch(
     shapes: ListFile,
     submit: Annotated[
-        bool, typer.Option("--submit", help="Submit the jobs and print their numbers.")
+        bool,
+        typer.Option(
+            "--submit",
+            help="Submit the jobs and print their numbers, in place of printing the script.",
+        ),
     ] = False,
     until: Annotated[
         str,
@@ -42,9 +46,11 @@ def sbatch(
     config: Annotated[
         Path | None, typer.Option("--config", help="TOML file with a table of options per stage.")
     ] = None,
-    runs: Annotated[Path, typer.Option("--runs", help="Where the run folders are.")] = Path(),
+    runs: Annotated[
+        Path, typer.Option("--runs", help="The folder that holds the run folders.")
+    ] = Path(),
     threads: Annotated[
-        int, typer.Option(help="Threads, and processors, of a job.", min=1, max=1024)
+        int, typer.Option(help="Threads and processors of a job.", min=1, max=1024)
     ] = 1,
     memory: Annotated[Text, typer.Option(help="Memory of a job, such as 3G.")] = None,
     time: Annotated[Text, typer.Option(help="Time limit of a job, such as 2:00:00.")] = None,
@@ -54,13 +60,13 @@ def sbatch(
         int | None, typer.Option(help="Jobs of an array that may run at once.", min=1)
     ] = None,
     array_size: Annotated[
-        int, typer.Option(help="Shapes in an array; less than MaxArraySize.", min=1)
+        int, typer.Option(help="Shapes in an array; must be less than Slurm's MaxArraySize.", min=1)
     ] = 1000,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Print a script that runs every shape of a list on Slurm, or submit it. A job that runs out of
-    time, or gets SIGUSR1, stops at a checkpoint and is queued again.
+    """Print or submit Slurm jobs that run every shape of a list. A job that reaches its time limit,
+    or gets SIGUSR1, stops at a checkpoint and is queued again.
 
     Example: vorolight sbatch shapes.txt -n 25 --time 1:00:00 --submit
     """
@@ -73,7 +79,7 @@ def sbatch(
         raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
     stages = standing.ORDER[: standing.ORDER.index(until) + 1]
     given = read_config(config, standing.ALL)
-    for stage in map(standing.get, stages):  # refused here rather than by every job
+    for stage in map(standing.get, stages):  # refused here, not by every job
         build(stage, {}, given, parameter_names([stage])[stage.name])
     listed = shape_list.read(shapes)
     views = [i for i, shape in enumerate(listed, 1) if shape.kind == "views"]
@@ -84,7 +90,7 @@ def sbatch(
         python=sys.executable,
         inputs=tuple(shape.input for shape in listed),
         runs=tuple(str(RunFolder.locate(None, s.stem, runs).path) for s in listed),
-        # Nothing reads what shade makes, so the shapes that have views take it last.
+        # No stage reads the results of shade, so the shapes that have views run it last.
         stages=tuple(stage for stage in stages if stage != "shade"),
         last=("shade", tuple(views)) if views and "shade" in stages else None,
         resolution=n,
@@ -100,8 +106,8 @@ def sbatch(
         return
     if shutil.which("sbatch") is None:
         raise BackendMissing(
-            "sbatch is not installed here; run this where Slurm is, or leave out --submit and run "
-            "the script there"
+            "sbatch is not installed here; run this command on a machine with Slurm, or leave out "
+            "--submit and run the printed script there"
         )
     kept = Path(logs) / "submit.sh"
     atomic.make_folder(kept.parent)
@@ -112,5 +118,5 @@ def sbatch(
     if done.returncode:
         raise UsageError(
             f"{shapes}: Slurm did not take all jobs, for the reason above; correct the options, or "
-            "go on as it says"
+            "continue with the command that the script printed"
         )

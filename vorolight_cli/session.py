@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 Input = Annotated[
     str | None,
     typer.Argument(
-        help="A mesh, a point cloud, views (a folder or transforms.json), or a field: heart, "
-        "sphere, torus, genus-two, gyroid, cube-cavity, a formula, or samples (.npy, .npz, .nrrd, "
-        ".mha, .nii, .vti). Files may be packed (.gz).",
+        help="The shape: a mesh, a point cloud, views (a folder or transforms.json), a built-in "
+        "field (heart, sphere, torus, genus-two, gyroid, cube-cavity), a formula, or samples on a "
+        "grid (.npy, .npz, .nrrd, .mha, .nii, .vti). Files may be packed (.gz).",
         autocompletion=completion.input_field,
     ),
 ]
@@ -32,18 +32,18 @@ Field = Annotated[
     str | None,
     typer.Option(
         "--field",
-        help="In place of INPUT: a formula in x, y and z, negative inside: 'x**2+y**2+z**2-1', or "
-        "MODULE:FUNCTION.",
+        help="A field in place of INPUT: a formula in x, y and z that is negative inside, such as "
+        "'x**2+y**2+z**2-1', or a Python function MODULE:FUNCTION.",
     ),
 ]
 AllowCode = Annotated[
-    bool, typer.Option("--allow-code", help="Let a field MODULE:FUNCTION be imported and run.")
+    bool, typer.Option("--allow-code", help="Allow a MODULE:FUNCTION to be imported and run.")
 ]
 Kind = Annotated[
     str | None,
     typer.Option(
         "--kind",
-        help="What INPUT holds [mesh|points|field|views]. Default: recognised.",
+        help="The kind of INPUT [mesh|points|field|views]. Default: recognised from the file.",
         autocompletion=completion.choices(completion.kinds),
         show_default=False,
     ),
@@ -51,12 +51,16 @@ Kind = Annotated[
 Run = Annotated[
     Path | None,
     typer.Option(
-        "--run", envvar="VOROLIGHT_RUN", help="The run folder. Default: INPUT's name + .vorolight."
+        "--run",
+        envvar="VOROLIGHT_RUN",
+        help="The run folder. Default: the name of INPUT with the suffix .vorolight.",
     ),
 ]
 Seed = Annotated[
     int | None,
-    typer.Option(help="Seed of all randomness. Default: 0.", min=0, max=2**63, show_default=False),
+    typer.Option(
+        help="Seed of all random numbers. Default: 0.", min=0, max=2**63, show_default=False
+    ),
 ]
 Threads = Annotated[int | None, typer.Option(help="Threads to use. Default: all.", min=1, max=1024)]
 DEVICES = ("cpu", "cuda")
@@ -70,27 +74,37 @@ Device = Annotated[
 Backend = Annotated[
     str,
     typer.Option(
-        help="Delaunay library within iterations [scipy|shull].",
+        help="Library for the Delaunay diagrams of iterations [scipy|shull].",
         autocompletion=completion.choices(completion.backends),
     ),
 ]
 MaxMemory = Annotated[
     float | None,
     typer.Option(
-        help="GB that a stage may need; more is refused. Default: what is free.",
+        help="Memory in GB that a stage may need; a stage that needs more is refused. Default: the "
+        "free memory.",
         min=0.01,
         max=1e6,
         show_default=False,
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Run although the result stands.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would run and why; do nothing.")]
-Touch = Annotated[bool, typer.Option("--touch", help="Renew the manifest's time if up to date.")]
-Verify = Annotated[bool, typer.Option("--verify", help="Compare the contents of all files.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Run again although the result is up to date.")
+]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Print what would run and why, and do nothing.")
+]
+Touch = Annotated[
+    bool, typer.Option("--touch", help="Set the manifest's time to now if it is up to date.")
+]
+Verify = Annotated[
+    bool,
+    typer.Option("--verify", help="Compare the contents of all files with the recorded checksums."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the manifest as JSON on stdout.")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="No progress, no summary.")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more, tracebacks included.")]
-NoColor = Annotated[bool, typer.Option("--no-color", help="No colours.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print no progress and no summary.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Print more, including tracebacks.")]
+NoColor = Annotated[bool, typer.Option("--no-color", help="Print without colours.")]
 Config = Annotated[
     Path | None, typer.Option("--config", help="TOML file with a table of options per stage.")
 ]
@@ -103,21 +117,22 @@ class Common:
     console: Console
     session: standing.Session
     seed: int | None
-    """As given; the session has 0 where nothing was."""
+    """As given; the session has 0 if none was given."""
     dry_run: bool
     config: dict[str, dict[str, Any]]
 
 
 def identity_of(input: str | None, field: str | None, kind: str | None = None) -> Identity | None:
-    """The input that was given, if any. Raises UsageError for two, InputError for a bad one."""
+    """The given input, if any. Raises UsageError if two are given, InputError for an unusable
+    one."""
     from vorolight.stages.sources.resolve import KINDS, identify, identify_field
 
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--kind {kind}: must be one of {', '.join(KINDS)}")
     if kind is not None and input is None:
-        raise UsageError("--kind: says what INPUT holds; give one")
+        raise UsageError("--kind: there is no INPUT that it could describe; give an INPUT")
     if input is not None and field is not None:
-        raise UsageError(f"--field: there is an INPUT ({input}) already; give one of them")
+        raise UsageError(f"--field and INPUT {input}: both are given; give one of them")
     if field is not None:
         return identify_field(field)
     return None if input is None else identify(input, kind)
@@ -144,7 +159,7 @@ def common_options(
     no_color: NoColor = False,
     config: Config = None,
 ) -> Common:
-    """What every stage command can be told, besides the stage's own options."""
+    """The options of every stage command, besides the stage's own."""
     from vorolight.stages.voronoi.delaunay import BACKENDS
 
     if device not in DEVICES:

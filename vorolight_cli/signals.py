@@ -1,4 +1,4 @@
-"""How the command ends when it is told to: at once, or at the next checkpoint."""
+"""How the command ends on a signal: at once, or at the next checkpoint."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from vorolight.stages.artifacts import lock, requeue
 from vorolight.stages.errors import Stopped
 
 GRACE = 60
-"""Seconds that a process which was asked to stop at a checkpoint has to get there."""
+"""Seconds within which a process must reach a checkpoint after SIGUSR1."""
 
 
 def install() -> None:
-    """SIGTERM and SIGINT end the process at once; SIGUSR1 at the next checkpoint, before the next
-    stage or after GRACE, whichever comes first."""
+    """SIGTERM and SIGINT end the process at once. SIGUSR1 ends it at the next checkpoint, before
+    the next stage or after GRACE, whichever comes first."""
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
     if hasattr(signal, "SIGUSR1"):
@@ -32,12 +32,12 @@ def _stop_at_checkpoint(number: int, frame: object) -> None:
 
 
 def _stop_without(number: int, frame: object) -> None:
-    _end(Stopped.exit_code, "stopped, no checkpoint being near")
+    _end(Stopped.exit_code, "stopped; no checkpoint was reached in time")
 
 
-def _end(code: int, said: str) -> None:
-    """No unwinding: an exception thrown into torch's kernels crashes the process, and every file
-    is either whole or not there."""
+def _end(code: int, text: str) -> None:
+    """End the process without unwinding: an exception in torch's kernels would crash it, and every
+    file is either complete or missing."""
     lock.release_all()
-    os.write(2, f"\nvorolight: {said}; the same command resumes\n".encode())
+    os.write(2, f"\nvorolight: {text}; the same command continues\n".encode())
     os._exit(code)

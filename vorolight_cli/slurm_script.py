@@ -1,4 +1,5 @@
-"""The script that hands a list of shapes to Slurm: plain bash, to be read before it is run."""
+"""The script that submits a list of shapes to Slurm: plain bash, meant to be read before it
+runs."""
 
 from __future__ import annotations
 
@@ -15,16 +16,17 @@ LOGS = "slurm-logs"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked of Slurm. Shapes are counted from 1, as lines are."""
+    """The content of the script. Shapes are counted from 1, as lines are."""
 
     name: str
     folder: Path
-    """Where everything is relative to, and where the jobs run."""
+    """The folder that relative paths refer to, and in which the jobs run."""
     python: str
     inputs: tuple[str, ...]
     runs: tuple[str, ...]
     stages: tuple[str, ...]
-    """In order: they share a run folder and its lock, so each waits for the one before it."""
+    """The stages in order. They share a run folder and its lock, so each waits for the one before
+    it."""
     last: tuple[str, tuple[int, ...]] | None
     """A stage that only some of the shapes take, after all others."""
     resolution: int | None
@@ -152,7 +154,7 @@ def script(plan: Plan) -> tuple[str, str]:
 
 
 def _calls(plan: Plan) -> Iterator[str]:
-    """One call of ``submit`` a stage, for as many shapes as an array may have."""
+    """One call of ``submit`` for each stage, for as many shapes as an array may have."""
     count = len(plan.inputs)
     for offset in range(0, count, plan.array_size):
         size = min(plan.array_size, count - offset)

@@ -22,9 +22,8 @@ def status(
     input: Input = None, field: Field = None, kind: Kind = None, run: Run = None,
     json: Json = False, verify: Verify = False, verbose: Verbose = False,
 ) -> None:  # fmt: skip
-    """Say for each stage whether it is done, or why it would run again; what runs now, and how far
-    it is. With --verify the contents of all files are compared with what was written, and the exit
-    code is 4 if one is another.
+    """Show which stages are done, stale or running, and why. With --verify it compares the contents
+    of all files with the recorded checksums, and ends with exit code 4 if one differs.
 
     Example: vorolight status --run bunny.vorolight --json
     """
@@ -49,12 +48,13 @@ def status(
     console.say(f"{folder.path}\n{table(rows)}")
     if verify and damaged:
         raise ArtifactError(
-            f"{folder.path}: not as written: {', '.join(damaged)}; run the stages again"
+            f"{folder.path}: files differ from what was written: {', '.join(damaged)}; run these "
+            "stages again"
         )
 
 
 def _of_a_file(found: State, folder: RunFolder) -> bool:
-    """Whether a result does not stand because one of its own files is not the one written."""
+    """Whether a result is stale because one of its own files is missing or was changed."""
     assert found.manifest is not None
     names = [entry["path"] for entry in found.manifest["outputs"]]
     return any((found.reason or "").startswith(f"{name} ") for name in names)

@@ -12,7 +12,11 @@ def _number(value: float | None) -> str:
 
 
 def _surface(topology: dict[str, Any]) -> str:
-    closed = "closed" if topology["bad_edges"] == 0 else f"{topology['bad_edges']} bad edges"
+    closed = (
+        "closed"
+        if topology["bad_edges"] == 0
+        else f"not closed ({topology['bad_edges']} edges are not in two faces)"
+    )
     parts = topology["components"]
     return (
         f"{topology['faces']} faces, {closed}, Euler number {topology['euler_number']}, "
@@ -48,21 +52,21 @@ def of(manifest: dict[str, Any], console: Console) -> str:
         "sphere-train": lambda: (
             f"{metrics['trained_faces']} trained faces; surface: {_surface(metrics['topology'])}; "
             + (
-                "certified to conform"
+                "certificate holds"
                 if metrics["certificate"]["holds"]
-                else f"{100 * metrics['conformity']['pair_area_share']:.2f} % of its area between "
-                "pairs, no certificate"
+                else f"no certificate, {100 * metrics['conformity']['pair_area_share']:.2f} % of "
+                "the area lies between generator pairs"
             )
         ),
         "volume": lambda: (
-            f"{metrics['cells']} cells, {sum(metrics['faults'].values())} unsound, "
+            f"{metrics['cells']} cells, {sum(metrics['faults'].values())} of them faulty, "
             f"{metrics['changed_faces'] or 'no'} faces of the surface changed, volume "
-            f"{metrics['cell_volume_sum']:.6g}; generators within "
-            f"{100 * metrics['centroid_distance_mean']:.2g} % of a cell of their centroids"
+            f"{metrics['cell_volume_sum']:.6g}; mean distance of generators to centroids "
+            f"{100 * metrics['centroid_distance_mean']:.2g} % of the cell size"
         ),
         "shade": lambda: (
-            f"trained on {metrics['trained_views']} views; PSNR on "
-            f"{len(metrics['held_out_views'])} held out: {_number(metrics['held_out_psnr'])} dB"
+            f"trained on {metrics['trained_views']} views; PSNR of "
+            f"{len(metrics['held_out_views'])} other views: {_number(metrics['held_out_psnr'])} dB"
         ),
         "evaluate": lambda: f"surface of {metrics['of']}",
         "fabricate": lambda: _object(metrics),
@@ -104,8 +108,8 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
                         "reference_curvature_off_creases")
         )  # fmt: skip
         aim = "" if not truth else _number(truth["mean"])
-        # What a crease turns by may cross both thresholds on its way: the reference itself says
-        # how much there is of that.
+        # The angle of a crease may cross both thresholds along it; the reference itself shows how
+        # often.
         own = metrics["reference_creases"] or dict.fromkeys(
             ("edge_f1", "edge_precision", "edge_recall"), 1.0
         )
@@ -131,19 +135,19 @@ def evaluation_rows(metrics: dict[str, Any]) -> list[tuple[str, ...]]:
         ("components", str(topology["components"]), str(expected.get("components", ""))),
     ]
     for gate, held in metrics["gates"].items():
-        if gate == "certificate":  # said below with what it says
+        if gate == "certificate":  # it is listed below, with the conditions that fail
             continue
         words = held if isinstance(held, str) else "yes" if held else "no"
         rows.append((gate.replace("_", " "), words, ""))
     if "conformity" in metrics:
         conformity, trained = metrics["conformity"], metrics["trained"]
-        faces = f"{conformity['interface_faces']} / {conformity['trained_faces']}"
+        faces = f"{conformity['interface_faces']}, {conformity['trained_faces']}"
         certificate = metrics["certificate"]
         failed = "fails: " + ", ".join(certificate["failed"])
         rows += [
             ("certificate", "holds" if certificate["holds"] else failed, ""),
             ("pair area share", _number(conformity["pair_area_share"]), "1"),
-            ("interface faces / trained", faces, "equal"),
+            ("faces of the diagram before merging, trained", faces, ""),
             ("sphere residual, rms in h^2", _number(conformity["residual_rms"]), "0"),
             ("deepest intrusion in h^2", _number(conformity["intrusion"]), "0"),
         ]

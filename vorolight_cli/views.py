@@ -1,5 +1,4 @@
-"""``vorolight views`` and ``from-image``: sets of views, rendered from a mesh or made of one
-picture."""
+"""``vorolight views`` and ``from-image``: sets of views, of a mesh or of one picture."""
 
 from __future__ import annotations
 
@@ -16,31 +15,39 @@ from .session import AllowCode, Quiet, Threads, Verbose
 
 
 def views(
-    mesh: Annotated[Path, typer.Argument(help="A mesh, with a texture or colours or without.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The folder to write to.")],
+    mesh: Annotated[
+        Path, typer.Argument(help="A mesh; a texture or colours are used if it has them.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The folder to write.")],
     count: Annotated[
-        int, typer.Option(min=2, max=100_000, help="Views; 6 are those along the axes.")
+        int, typer.Option(min=2, max=100_000, help="Number of views; 6 views look along the axes.")
     ] = 300,
     size: Annotated[int, typer.Option(min=16, max=8192, help="Pixels along a side.")] = 512,
     texture: Annotated[
         Path | None,
-        typer.Option(help="A picture in place of the mesh's own texture.", show_default=False),
+        typer.Option(
+            help="A picture to use in place of the mesh's own texture.", show_default=False
+        ),
     ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
-            help="perspective or orthographic. Default: orthographic for 6 views.",
+            help="Camera [perspective|orthographic]. Default: orthographic for 6 views, else "
+            "perspective.",
             autocompletion=completion.choices(lambda: ("perspective", "orthographic")),
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the random sides.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random directions.")] = 0,
     threads: Threads = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a set that is there.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing set of views.")
+    ] = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Render a mesh to a set of views: pictures with alpha, normal maps, transforms.json.
+    """Render a mesh from many directions, as a set of views. Writes pictures with alpha channels,
+    normal maps and transforms.json.
 
     Example: vorolight views cow.obj -o cow-views --count 300
     """
@@ -66,15 +73,16 @@ def from_image(
     six_views: Annotated[
         Path | None,
         typer.Option(
-            help="A folder of six views made of it elsewhere: front, right, back, left, top and "
-            "bottom.png, or six with numbers, and maybe front_normal.png and so on.",
+            help="A folder with six views of the object that another program made: front.png, "
+            "right.png, back.png, left.png, top.png and bottom.png, or six numbered pictures. "
+            "Normal maps, such as front_normal.png, are optional.",
             show_default=False,
         ),
     ] = None,
     generator: Annotated[
         str | None,
         typer.Option(
-            help="MODULE:FUNCTION, called with the picture, that makes such a folder.",
+            help="MODULE:FUNCTION that takes the picture and makes such a folder.",
             show_default=False,
         ),
     ] = None,
@@ -106,13 +114,15 @@ def from_image(
     ] = False,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="The set of views. Default: PHOTO-views."),
+        typer.Option("-o", "--output", help="The folder to write. Default: PHOTO-views."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a set that is there.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing set of views.")
+    ] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make a set of views of one picture, by a generator of six views. No weights come with
-    vorolight: give views made elsewhere, or a function that calls a generator.
+    """Make a set of views from six views of one picture. vorolight has no generator of
+    views: give six views that another program made, or a function that calls such a program.
 
     Example: vorolight from-image cow.jpg --six-views cow-made && vorolight run cow-views -n 40
     """
@@ -120,9 +130,9 @@ def from_image(
     from vorolight.stages.sources.silhouettes import Reading, parse_background
 
     if not photo.is_file():
-        raise InputError(f"{photo}: no such file; give a picture")
+        raise InputError(f"{photo}: no such file; give the path of a picture")
     if six_views is not None and generator is not None:
-        raise UsageError("--generator: there are --six-views already; give one of them")
+        raise UsageError("--generator and --six-views: both are given; give one of them")
     if enclosed not in ("object", "background"):
         raise UsageError(f"--enclosed {enclosed}: must be object or background")
     reading = Reading(parse_background(background), enclosed == "background", invert_masks)
@@ -133,9 +143,9 @@ def from_image(
         made = six.of_generator(generator, photo, allow_code, views_of, reading)
     else:
         raise BackendMissing(
-            "no generator of six views is installed: draw them elsewhere, such as with "
-            "Hunyuan3D-2, and give --six-views FOLDER, or a function that calls it with "
-            "--generator MODULE:FUNCTION"
+            "there is no built-in generator of six views: make the views with another program, "
+            "such as Hunyuan3D-2, and give their folder with --six-views, or give a function that "
+            "calls such a program with --generator MODULE:FUNCTION"
         )
     for note in made.notes:
         Console(1, False, False).warn(note)

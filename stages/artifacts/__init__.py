@@ -1,1 +1,1 @@
-"""Run folders: manifests, data files, checkpoints, locks, and the one atomic writer."""
+"""Run folders: manifests, data files, checkpoints, locks, and the atomic writer."""

@@ -1,4 +1,4 @@
-"""The one writer: a file is either as it was or whole and new."""
+"""The only writer of files: a file is either unchanged, or new and complete."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from . import processes
 
 _TEMPORARY = re.compile(r"^\.(?:.+\.tmp|lock(?:\.dead)?)\.(\d{1,10})$")
 STAGING = ".new"
-"""Ends the name of a folder in which the files of a stage are written before they count."""
+"""Suffix of a folder that collects the files of a stage before they count."""
 
 
 def write(path: Path, data: bytes) -> None:
@@ -41,17 +41,19 @@ def write(path: Path, data: bytes) -> None:
 
 
 def discard(path: Path) -> None:
-    """Remove a file that is in nobody's way: where that fails, the next start tries again."""
+    """Remove a leftover file. If that fails, the next start tries again."""
     with contextlib.suppress(OSError):
         path.unlink(missing_ok=True)
 
 
 def remove(path: Path) -> None:
-    """Remove a file, if it is there. Raises UsageError when that is not allowed."""
+    """Remove a file if it exists. Raises UsageError if that is not allowed."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be removed ({error.strerror})") from error
+        raise UsageError(
+            f"{path}: cannot be removed ({error.strerror}); check its permissions"
+        ) from error
 
 
 def move(source: Path, target: Path) -> None:
@@ -60,21 +62,28 @@ def move(source: Path, target: Path) -> None:
         os.replace(source, target)
         _sync_folder(target.parent)
     except OSError as error:
-        raise UsageError(f"{target}: cannot be written ({error.strerror})") from error
+        raise UsageError(
+            f"{target}: cannot be written ({error.strerror}); check its permissions"
+        ) from error
 
 
 def touch(path: Path, later_than: Iterable[Path] = ()) -> None:
-    """Renew a file's modification time; where the clock was set back, to that of the newest of
-    ``later_than``. Raises UsageError when that is not allowed."""
+    """Set a file's modification time to now, or, if the clock was set back, to that of the newest
+    of ``later_than``.
+
+    Raises UsageError if that is not allowed.
+    """
     try:
         now = max([time.time_ns(), *(other.stat().st_mtime_ns for other in later_than)])
         os.utime(path, ns=(now, now))
     except OSError as error:
-        raise UsageError(f"{path}: cannot be touched ({error.strerror})") from error
+        raise UsageError(
+            f"{path}: cannot be touched ({error.strerror}); check its permissions"
+        ) from error
 
 
 def make_folder(path: Path) -> None:
-    """Create ``path`` and its parents. Raises UsageError when that is not allowed."""
+    """Create ``path`` and its parents. Raises UsageError if that is not allowed."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -84,8 +93,10 @@ def make_folder(path: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what processes that no longer run have left: temporary files, and folders of files
-    that were not all written. To be called by the holder of the folder's lock."""
+    """Remove temporary files and unfinished folders of processes that no longer run.
+
+    Only the process that holds the folder's lock may call this.
+    """
     for entry in folder.glob(".*"):
         match = _TEMPORARY.match(entry.name)
         if match and not processes.runs(int(match.group(1))):

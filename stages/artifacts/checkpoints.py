@@ -1,4 +1,4 @@
-"""Training checkpoints: whole files, the last two kept, found again by fingerprint."""
+"""Checkpoints of a training: whole files with a fingerprint, of which the last two are kept."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from . import atomic, hdf5, requeue
 
 KEPT = 2
 COST = 50.0
-"""Between two checkpoints goes this many times the time that writing one takes: 2 % are lost."""
+"""Time between two checkpoints divided by the time that writing one takes: 2 % of the time are
+lost."""
 
 
 class Checkpoints:
@@ -36,8 +37,11 @@ class Checkpoints:
         return sorted(self.folder.glob("[0-9]*.h5"))
 
     def save(self, iteration: int, state: Callable[[], Mapping[str, Any]]) -> None:
-        """Write ``state()`` after ``iteration`` iterations and drop the oldest files, unless the
-        last time is too short ago. Raises Stopped afterwards if that was asked for."""
+        """Write ``state()`` after ``iteration`` iterations and remove the oldest files, unless the
+        last checkpoint is too recent.
+
+        Raises Stopped afterwards if the process was asked to stop.
+        """
         begun = time.monotonic()
         if begun - self._written < COST * self._cost and not requeue.asked():
             return
@@ -72,14 +76,15 @@ class Checkpoints:
         return None
 
     def clear(self) -> None:
-        """Remove all of the stage, of other parameters too, once its result is written."""
+        """Remove all checkpoints of the stage, also of other parameters, once its result is
+        written."""
         shutil.rmtree(self.folder.parent, ignore_errors=True)
         with contextlib.suppress(OSError):  # other stages may have checkpoints there
             self.folder.parent.parent.rmdir()
 
 
 def _digest(iteration: Any, arrays: hdf5.Arrays) -> str:
-    """What tells a checkpoint whose bytes rotted from a whole one."""
+    """A checksum that tells an intact checkpoint from a damaged one."""
     found = hashlib.sha256(str(iteration).encode())
     for name in sorted(arrays):
         array = arrays[name]

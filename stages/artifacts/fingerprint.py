@@ -1,4 +1,4 @@
-"""Hashes that decide whether a result is still what its inputs and options give."""
+"""Hashes that decide whether a result still belongs to its inputs and options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def of_bytes(data: bytes) -> str:
 def of_file(path: Path) -> str:
     """sha256 of a file. Raises InputError when it cannot be read."""
     if path.exists() and not path.is_file():  # reading a pipe would never end
-        raise InputError(f"{path}: is no file; check the path")
+        raise InputError(f"{path}: is not a file; check the path")
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -17,15 +17,16 @@ from ..errors import ArtifactError
 Arrays = dict[str, np.ndarray[Any, Any]]
 
 LARGEST = 4_000_000_000
-"""Bytes that the arrays of a file may hold, unpacked."""
+"""Largest size of the arrays of a file in bytes, unpacked."""
 MOST, DEEPEST = 1000, 3
-"""Groups and arrays of a file, and groups in groups."""
+"""Largest number of groups and arrays in a file, and of nested groups."""
 FILTERS = (1, 2)
-"""HDF5's own deflate and shuffle; others would be loaded from wherever the system finds them."""
+"""HDF5's own deflate and shuffle; other filters would be loaded from wherever the system finds
+them."""
 
 
 def as_array(value: Any) -> np.ndarray[Any, Any]:
-    """``value`` as it comes back from a file: a C-ordered array."""
+    """``value`` in the form in which a file returns it: a C-ordered array."""
     return np.array(value, order="C")
 
 
@@ -43,7 +44,7 @@ def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str
         for name in sorted(arrays):
             values = np.asarray(arrays[name])
             large = values.ndim > 0 and values.size > 256
-            # Shuffled and lightly packed: half the bytes for a few milliseconds.
+            # Shuffle and light compression halve the size for a few milliseconds.
             options = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
             file.create_dataset(name, data=values, **(options if large else {}))
         for name in sorted(attributes):
@@ -52,7 +53,7 @@ def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str
 
 
 def read(path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
-    """As ``decode``, of a file. Raises ArtifactError for one that cannot be read, too."""
+    """As ``decode``, for a file. Raises ArtifactError also if it cannot be read."""
     if not path.is_file():
         raise ArtifactError(f"{path}: missing; run the stage that writes it")
     try:
@@ -65,14 +66,14 @@ def read(path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
 def decode(raw: bytes, path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
     """The arrays and attributes of an HDF5 file: those of the layout of ``stage``, or all of them.
 
-    Raises ArtifactError, which names ``path``, when they are damaged or laid out differently;
-    before anything is unpacked, when it would be too large.
+    Raises ArtifactError, which names ``path``, if they are damaged or have another layout, and
+    before anything is unpacked if they would be too large.
     """
     try:
         arrays, attributes = _unpacked(raw, None if stage is None else layouts.LAYOUTS[stage])
         if stage is not None:
             layouts.check(stage, arrays)
-    # Whatever h5py makes of bytes that are no such file.
+    # h5py may raise almost anything for a file that is not HDF5.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
         said = " ".join(str(error).split())[:120]
         raise ArtifactError(
@@ -82,7 +83,7 @@ def decode(raw: bytes, path: Path, stage: str | None) -> tuple[Arrays, dict[str,
 
 
 def _datasets(file: Any, layout: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The arrays of a file by name; what another name or file only links to is none."""
+    """The arrays of a file by name, without links to other names or files."""
     import h5py
 
     found: dict[str, Any] = {}
@@ -92,7 +93,7 @@ def _datasets(file: Any, layout: Mapping[str, Any] | None) -> dict[str, Any]:
         for key in group:
             seen += 1
             if seen > MOST or prefix.count("/") > DEEPEST:
-                raise ValueError("it holds more groups or arrays than ours do")
+                raise ValueError("it has more groups or arrays than vorolight writes")
             if not isinstance(group.get(key, getlink=True), h5py.HardLink):
                 continue
             item = group[key]
@@ -111,12 +112,12 @@ def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dic
         limit, total = min(LARGEST, int(1e6 * memory.free_mb())), 0
         for name, item in found.items():
             if item.dtype.kind not in "biuf" or item.dtype.itemsize > 8:
-                raise ValueError(f"array {name} holds {item.dtype}")
+                raise ValueError(f"array {name} has type {item.dtype}")
             if item.external or item.is_virtual:
                 raise ValueError(f"array {name} lies in another file")
             plan = item.id.get_create_plist()
             if any(plan.get_filter(i)[0] not in FILTERS for i in range(plan.get_nfilters())):
-                raise ValueError(f"array {name} is packed in a way that is not ours")
+                raise ValueError(f"array {name} uses a compression that vorolight does not write")
             total += item.dtype.itemsize * item.size
         if total > limit:
             raise ValueError(f"its arrays would take {total / 1e9:.1f} GB, more than may be read")
@@ -126,6 +127,6 @@ def _unpacked(raw: bytes, layout: Mapping[str, Any] | None) -> tuple[Arrays, dic
         for name in file.attrs:
             kind = file.attrs.get_id(name)
             if kind.shape != () or kind.get_storage_size() > 4096:
-                raise ValueError(f"attribute {name} is not one of ours")
+                raise ValueError(f"attribute {name} is not one that vorolight writes")
             attributes[name] = file.attrs[name]
         return {name: item[()] for name, item in found.items()}, attributes

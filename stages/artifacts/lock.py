@@ -1,4 +1,4 @@
-"""One process at a time in a run folder."""
+"""A lock: only one process may work on a run folder at a time."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ from . import atomic, processes
 NAME = ".lock"
 _HELD: set[Path] = set()
 JOB = ("SLURM_CLUSTER_NAME", "SLURM_JOB_ID")
-"""What names a job that a cluster never runs twice at once, and starts again on another node."""
+"""Environment variables that name a cluster job. Such a job never runs twice at once, and may start
+again on another node."""
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[list[str]]:
     """Hold the lock of ``folder``; yields warnings about a lock that was taken over.
 
-    Raises Locked while another process of this host, or any process of another host, holds it.
+    Raises Locked while another process of this host, or any process of another host, has it.
     """
     path = folder / NAME
     mine = json.dumps(_holder())
     warnings: list[str] = []
     whole = folder / f"{NAME}.{os.getpid()}"
     try:
-        # Linked into place, the lock never is an empty file.
+        # The lock is linked into place, so it is never an empty file.
         whole.write_text(mine)
         while True:
             try:
@@ -68,7 +69,7 @@ def _put(whole: Path, path: Path) -> None:
 
 
 def release_all() -> None:
-    """Give up every lock of this process, for one that ends without unwinding."""
+    """Release every lock of this process, for an end without unwinding."""
     for path in _HELD:
         atomic.discard(path)
 
@@ -84,7 +85,7 @@ def _holder() -> dict[str, Any]:
 
 
 def holder(folder: Path) -> dict[str, Any] | None:
-    """Who holds the lock of ``folder``, as it says, if it still runs or is on another host."""
+    """The process that holds the lock of ``folder``, if it still runs or is on another host."""
     try:
         found = json.loads(_content(folder / NAME))
         here = str(found["host"]) == socket.gethostname()
@@ -95,9 +96,10 @@ def holder(folder: Path) -> dict[str, Any] | None:
 
 
 def _content(path: Path) -> bytes:
-    """What a lock says. Raises Locked for what is no file: reading a pipe would never end."""
+    """The content of a lock. Raises Locked if it is not a file, since reading a pipe would never
+    end."""
     if not stat.S_ISREG(path.lstat().st_mode):
-        raise Locked(f"{path}: is no lock of ours; delete it")
+        raise Locked(f"{path}: is not a lock file of vorolight; delete it")
     return path.read_bytes()
 
 
@@ -112,23 +114,27 @@ def _take_over(path: Path) -> list[str]:
         host, pid = str(holder["host"]), int(holder["pid"])
         job, start = holder.get("job"), holder.get("start")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        raise Locked(f"{path}: is no lock of ours; delete it") from None
+        raise Locked(f"{path}: is not a lock file of vorolight; delete it") from None
     ours = _holder()
-    # A job that was started again is the only one of its number: what held the lock is dead.
+    # A job that was started again is the only one of its number, so the process that had the lock
+    # is dead.
     again = job is not None and job == ours["job"] and (host, pid) != (ours["host"], ours["pid"])
     if host != ours["host"] and not again:
-        raise Locked(f"{path}: held by process {pid} on {host}; wait, or delete the file")
-    # A number may be given out again, after a restart or in a container.
+        raise Locked(
+            f"{path}: process {pid} on {host} works on this run folder; wait for it, or delete "
+            "the file if that process has ended"
+        )
+    # After a restart, or in a container, a number may belong to another process.
     if host == ours["host"] and processes.runs(pid, start):
-        raise Locked(f"{path}: held by process {pid}; wait for it, or stop it")
+        raise Locked(f"{path}: process {pid} works on this run folder; wait for it, or stop it")
     aside = path.with_name(f"{NAME}.dead.{os.getpid()}")
     try:
         os.replace(path, aside)
     except FileNotFoundError:
-        return []  # somebody else was faster
+        return []  # another process was faster
     taken = _content(aside)
     if taken != text:
-        # Between our look and our move a living process had taken it: give it back.
+        # Between our look and our move a living process took the lock: return it.
         os.replace(aside, path)
         return []
     atomic.discard(aside)

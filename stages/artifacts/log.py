@@ -1,4 +1,4 @@
-"""What a stage did and when: JSON lines in ``logs/<stem>.jsonl``, and what is shown meanwhile."""
+"""The log of a stage, JSON lines in ``logs/<stem>.jsonl``, and its progress on the terminal."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 FOLDER = "logs"
 LARGEST = 4_000_000
-"""Bytes of a log that is put aside, as ``.1``, when the stage starts again."""
+"""Size in bytes from which on a log is renamed to ``.1`` when the stage starts again."""
 EVERY = 10.0
-"""Seconds after which progress is logged again, if it has not come a tenth further."""
+"""Seconds after which progress is logged again, even without a further tenth."""
 
 
 class StageLog:
     """Progress that is shown and logged. It owns the log file while its stage runs.
 
-    Where the log cannot be written that is said once, and the stage goes on.
+    If the log cannot be written, this is reported once, and the stage continues.
     """
 
     def __init__(self, folder: Path, stem: str, shown: Progress) -> None:
@@ -42,7 +42,7 @@ class StageLog:
             self._give_up(error)
 
     def _give_up(self, error: OSError) -> None:
-        self.shown.note(f"{self.path}: no log is kept ({error.strerror})")
+        self.shown.note(f"{self.path}: no log is written ({error.strerror})")
         self.close()
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class StageLog:
 
 
 def read(folder: Path, stem: str) -> list[dict[str, Any]]:
-    """The events of a stage's log, oldest first; a line that a killed process left torn is left
+    """The events of a stage's log, oldest first; an incomplete line of a killed process is left
     out."""
     events = []
     path = folder / FOLDER / f"{stem}.jsonl"

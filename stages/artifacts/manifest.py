@@ -1,4 +1,4 @@
-"""Manifests: the JSON file that makes a stage's outputs count. Written last."""
+"""Manifests: the JSON file that commits the outputs of a stage. It is written last."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from . import fingerprint
 Manifest = dict[str, Any]
 
 LARGEST = 16_000_000
-"""Bytes of a manifest; a large one has fifty thousand."""
+"""Largest size of a manifest in bytes; a large one has fifty thousand."""
 
 
 def clean_numbers(value: Any) -> Any:
-    """JSON values from numpy scalars and dataclass dictionaries; a NaN or infinity becomes null."""
+    """JSON values from numpy scalars and dataclass dictionaries; NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(key): clean_numbers(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -41,7 +41,7 @@ def encode(manifest: Manifest) -> bytes:
 
 
 def _sealed(manifest: Manifest) -> Manifest:
-    """The manifest with a checksum of what does not vary from run to run, and one of the rest."""
+    """The manifest with two checksums: of what is the same in every run, and of the rest."""
     kept = {key: value for key, value in manifest.items() if key not in ("checksum", "volatile")}
     volatile = {key: value for key, value in manifest["volatile"].items() if key != "checksum"}
     return {
@@ -52,10 +52,14 @@ def _sealed(manifest: Manifest) -> Manifest:
 
 
 def read(path: Path) -> Manifest:
-    """A manifest from disk. Raises ArtifactError when it is missing, damaged or not ours."""
+    """A manifest from disk. Raises ArtifactError if it is missing, damaged, or not one of
+    vorolight."""
     try:
         if path.stat().st_size > LARGEST or not leads_inside(path):
-            raise ArtifactError(f"{path}: no manifest of this folder; delete it and run again")
+            raise ArtifactError(
+                f"{path}: is too large, or leads out of this folder; delete it and run its stage "
+                "again"
+            )
         manifest = json.loads(path.read_bytes(), parse_constant=_no_number, parse_float=_finite)
     except FileNotFoundError:
         raise ArtifactError(f"{path}: missing; run its stage first") from None
@@ -64,9 +68,9 @@ def read(path: Path) -> Manifest:
     try:
         schemas.validate(manifest)
         if "checksum" in manifest and manifest != _sealed(manifest):
-            raise ValueError("is not as it was written")
+            raise ValueError("was changed after it was written")
         if not all(entry["path"].startswith(f"{path.stem}.") for entry in manifest["outputs"]):
-            raise ValueError("is of another stage")
+            raise ValueError("belongs to another stage")
     # A deep or strange value may upset the validator itself.
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = " ".join(str(error).split())
@@ -75,7 +79,7 @@ def read(path: Path) -> Manifest:
 
 
 def _no_number(text: str) -> float:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a number")
 
 
 def _finite(text: str) -> float:
@@ -85,23 +89,23 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def foreign(where: str) -> Iterator[None]:
-    """Around the use of figures that a manifest of another hand may not have, or have otherwise.
+    """A context for reading figures of a manifest that another program or person may have changed.
 
-    Raises ArtifactError in place of what is raised over them.
+    Raises ArtifactError in place of errors over missing figures.
     """
     try:
         yield
     except (KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError) as error:
         raise ArtifactError(
-            f"{where}: a figure is missing or not as this version writes it "
+            f"{where}: a figure is missing, or has another form than this version writes "
             f"({type(error).__name__}: {error}); run its stage again with --force"
         ) from error
 
 
 def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | None:
-    """Why the outputs are not the ones the manifest describes, or None.
+    """Why the outputs are not those that the manifest describes, or None.
 
-    Sizes and modification times are compared, with ``verify`` the contents.
+    Sizes and modification times are compared; with ``verify``, the contents.
     """
     for output in manifest["outputs"]:
         path = folder / output["path"]
@@ -110,7 +114,7 @@ def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | Non
         except OSError:
             return f"{path.name} is missing"
         if not leads_inside(path):
-            return f"{path.name} is no file of this folder"
+            return f"{path.name} leads out of this folder"
         if state.st_size != output["bytes"]:
             return f"{path.name} changed"
         touched = state.st_mtime_ns != manifest["volatile"]["mtime_ns"].get(path.name)
@@ -120,5 +124,6 @@ def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | Non
 
 
 def leads_inside(path: Path) -> bool:
-    """Whether a file of a run folder is one: not a folder or a device, no link out of there."""
+    """Whether a path is a regular file inside the run folder, not a folder, a device or a link out
+    of it."""
     return path.is_file() and path.resolve().parent == path.parent.resolve()

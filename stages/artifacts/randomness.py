@@ -1,4 +1,5 @@
-"""Counter-based randomness: a generator for (seed, stage, purpose, counter), nothing to save."""
+"""Counter-based random numbers: a generator for (seed, stage, purpose, counter), without any state
+to save."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def generator(seed: int, stage: str, purpose: str, counter: int = 0) -> np.random.Generator:
-    """The same four values give the same stream on every machine."""
+    """A generator; the same four values give the same stream on every machine."""
     import numpy as np
 
     digest = hashlib.sha256(f"{stage}/{purpose}".encode()).digest()

@@ -1,4 +1,4 @@
-"""The wish that this process stops where it can go on: a cluster has it before a time limit."""
+"""Stopping at the next checkpoint, which a cluster requests before a time limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _asked = False
 
 
 def ask() -> None:
-    """From now on the next checkpoint, or the start of the next stage, ends the process."""
+    """Make the next checkpoint, or the start of the next stage, end the process."""
     global _asked
     _asked = True
 
@@ -18,6 +18,6 @@ def asked() -> bool:
 
 
 def stop_if_asked() -> None:
-    """Raises Stopped once ``ask`` was called."""
+    """Raise Stopped if ``ask`` was called."""
     if _asked:
-        raise Stopped("stopped at a checkpoint; the same command goes on from there")
+        raise Stopped("stopped at a checkpoint; the same command continues from there")

@@ -1,4 +1,4 @@
-"""The run folder: where everything of one shape lives."""
+"""The run folder, with all results of one shape."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ class RunFolder:
         return manifest.read(path) if path.is_file() else None
 
     def output(self, stem: str, suffix: str) -> bytes:
-        """What a file of a finished stage holds, the very bytes that the stage wrote.
+        """The bytes of a file of a finished stage, as the stage wrote them.
 
-        Raises ArtifactError when they are not there, or others are.
+        Raises ArtifactError if they are missing or were changed.
         """
         path, stored = self.file(stem, suffix), self.manifest(stem)
         if stored is None:
@@ -74,7 +74,9 @@ class RunFolder:
         if not path.exists():
             raise ArtifactError(f"{path}: missing; run: vorolight {stored['stage']}")
         if not manifest.leads_inside(path):
-            raise ArtifactError(f"{path}: no file of this folder; delete it and run its stage")
+            raise ArtifactError(
+                f"{path}: leads out of this folder; delete it and run its stage again"
+            )
         try:
             data = path.read_bytes()
         except OSError as error:
@@ -86,8 +88,10 @@ class RunFolder:
         return data
 
     def arrays(self, stem: str, layout: str) -> Arrays:
-        """The arrays of a finished stage. Raises ArtifactError as ``output`` and for those that are
-        not laid out as ``layout`` says."""
+        """The arrays of a finished stage.
+
+        Raises ArtifactError as ``output``, and if they do not have the layout ``layout``.
+        """
         from .hdf5 import decode
 
         return decode(self.output(stem, "h5"), self.file(stem, "h5"), layout)[0]
@@ -95,7 +99,7 @@ class RunFolder:
     def checkpoints(
         self, stem: str, fingerprint: str, tell: Callable[..., None] = lambda event, **facts: None
     ) -> Checkpoints:
-        """The checkpoints of one run of a stage; what becomes of them is told to ``tell``."""
+        """The checkpoints of one run of a stage; ``tell`` is called with every event."""
         from .checkpoints import Checkpoints
 
         return Checkpoints(self.path / "checkpoints" / stem, fingerprint, tell)

@@ -26,10 +26,10 @@ class Volume:
 
 @dataclass(frozen=True)
 class Format:
-    """How a format is called and written."""
+    """The name of a format and how it is written."""
 
     suffix: str
-    """Of its file; empty for a folder."""
+    """Suffix of its file; empty for a folder."""
     about: str
     encode: Callable[[Volume], dict[str, bytes]]
     """Bytes by path within the folder; a single file has the path ``""``."""
@@ -39,9 +39,9 @@ def _split(volume: Volume) -> tetrahedra.Split:
     found = tetrahedra.split(volume.mesh, volume.points)
     if found.turned:
         raise InputError(
-            f"{found.turned} of {len(found.tetrahedra)} tetrahedra have no volume, or a negative "
-            "one: cells near the surface are not sound; lower --sliver of stage volume, or certify "
-            "the surface first (--faces triangle)"
+            f"{found.turned} of {len(found.tetrahedra)} tetrahedra have no volume, or a "
+            "negative one, since cells near the surface are faulty; lower --sliver of stage "
+            "volume, or train the surface until it has a certificate"
         )
     return found
 
@@ -87,4 +87,4 @@ FORMATS: dict[str, Format] = {
     "ply": Format("ply", "the outer faces, also of a cut", _file(_ply)),
     "hdf5": Format("h5", "flat arrays", _file(_hdf5)),
 }
-"""The first of a suffix is what a file of that name becomes."""
+"""The first format with a suffix is the default for files with that suffix."""

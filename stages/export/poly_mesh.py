@@ -26,11 +26,11 @@ snGradSchemes { default corrected; }
 """,
     "fvSolution": "solvers { }\n",
 }
-"""Without these no OpenFOAM program starts, checkMesh included; to be replaced by the user's."""
+"""Settings without which no OpenFOAM program starts, checkMesh included; a user replaces them."""
 
 
 def _header(kind: str, name: str, place: str, note: str = "") -> str:
-    # The note must be there in owner files: readers take the numbers of cells and faces from it.
+    # Owner files must have this note: readers take the numbers of cells and faces from it.
     lines = ["version 2.0;", "format ascii;", f"class {kind};"]
     if note:
         lines.append(f'note "{note}";')

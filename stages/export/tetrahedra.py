@@ -1,5 +1,5 @@
-"""Tetrahedra of polyhedral cells, for solvers that know no polyhedra: MSH (Gmsh) and INP (Abaqus,
-CalculiX)."""
+"""Tetrahedra of polyhedral cells, for solvers that cannot use polyhedra: MSH (Gmsh) and INP
+(Abaqus, CalculiX)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class Split:
 
     vertices: Floats
     tetrahedra: Ints
-    """``(T, 4)``, of positive volume where the cell is sound."""
+    """``(T, 4)``, with positive volume if the cell is sound."""
     cell: Ints
-    """The cell of each, ``(T,)``."""
+    """The cell of each tetrahedron, ``(T,)``."""
     boundary: Ints
     """Triangles of the boundary ``(B, 3)``, seen from outside."""
     turned: int
-    """Tetrahedra without volume or with a negative one."""
+    """Number of tetrahedra without volume or with a negative one."""
 
 
 def split(mesh: PolyhedralMesh, points: Floats) -> Split:
@@ -37,7 +37,7 @@ def split(mesh: PolyhedralMesh, points: Floats) -> Split:
     _, centroid = mesh.solids(points)
     volume = mesh.tetrahedron_volumes(centroid)
     apex = len(vertices) + cell
-    # Seen from outside the triangle turns left, seen from the centroid right.
+    # Seen from outside the triangle turns left; seen from the centroid it turns right.
     corners = np.column_stack([triangles[:, [0, 2, 1]], apex])
     order = np.argsort(cell, kind="stable")
     _, every, face = fan_triangles(mesh.faces)

@@ -81,7 +81,7 @@ def decode(raw: bytes) -> PolygonMesh:
     def add(item: Any, place: Floats, depth: int) -> None:
         nonlocal found
         if depth > DEEPEST or len(vertices) > MOST_BODIES:
-            raise ValueError("its components hold each other, or are too many")
+            raise ValueError("its components contain each other, or are too many")
         if item.IsMeshObject():
             at = np.frombuffer(b"".join(item.GetVertices()), np.float32).reshape(-1, 3)
             corners = np.frombuffer(b"".join(item.GetTriangleIndices()), np.uint32).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""The volume of a run written to a file or folder of a user's choice."""
+"""Write the cells of a run to a file or folder that the user chooses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CUT = re.compile(r"^\s*([xyz])\s*([=<>])\s*([-+.0-9eE]+)\s*$")
 
 
 def format_of(target: Path, name: str | None) -> Format:
-    """The format ``name``, or that of the target's suffix. Raises UsageError for none."""
+    """The format ``name``, or that of the target's suffix. Raises UsageError if there is none."""
     if name is not None:
         if name not in FORMATS:
             raise UsageError(f"--format {name}: must be one of {', '.join(FORMATS)}")
@@ -33,7 +33,8 @@ def format_of(target: Path, name: str | None) -> Format:
             return form
     known = ", ".join(sorted({f".{form.suffix}" for form in FORMATS.values() if form.suffix}))
     raise UsageError(
-        f"{target}: no format has that suffix ({known}); say --format [{'|'.join(FORMATS)}]"
+        f"{target}: no format has that suffix ({known}); name one with "
+        f"--format [{'|'.join(FORMATS)}]"
     )
 
 
@@ -45,7 +46,7 @@ def _kept(cut: str, points: Floats) -> NDArray[np.bool_]:
     except ValueError:
         at = np.nan
     if match is None or not np.isfinite(at):
-        raise UsageError(f"--cut {cut}: must be like x=0.1, which keeps what lies below, or x>0.1")
+        raise UsageError(f"--cut {cut}: must be like x=0.1 (cells below) or x>0.1 (cells above)")
     along = points[:, "xyz".index(match.group(1))]
     keep = along > at if match.group(2) == ">" else along < at
     if not keep.any():
@@ -57,10 +58,10 @@ def _kept(cut: str, points: Floats) -> NDArray[np.bool_]:
 
 
 def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force: bool) -> str:
-    """Write the cells of ``folder`` to ``target``; what was written, in a few words.
+    """Write the cells of ``folder`` to ``target``, and return what was written in a few words.
 
-    Raises UsageError where something is there already, unless ``force``, and InputError for a cut
-    without cells. Nothing is left half-written.
+    Raises UsageError if something exists there, unless ``force``, and InputError for a cut without
+    cells. Nothing is left half-written.
     """
     if form.suffix and target.is_dir():
         raise UsageError(f"{target}: is a folder; name a file")
@@ -68,7 +69,7 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
         raise UsageError(f"{target}: is a file; name a folder")
     held = target if form.suffix else target / "constant" / "polyMesh"
     if held.exists() and not force:
-        raise UsageError(f"{held}: is there; choose another name, or use --force")
+        raise UsageError(f"{held}: exists; choose another name, or replace it with --force")
     arrays = folder.arrays("volume", "volume")
     mesh = PolyhedralMesh.from_arrays(arrays)
     points, volume = arrays["generators"][mesh.cell_generator], arrays["cell_volume"]
@@ -88,7 +89,7 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
 
 
 def _write_case(target: Path, files: dict[str, bytes]) -> None:
-    """The mesh of a case is there whole or not at all; settings that are there stay."""
+    """Write a case: its mesh is there as a whole or not at all, and existing settings stay."""
     mesh = "constant/polyMesh/"
     for path, content in files.items():
         if not path.startswith(mesh) and not (target / path).exists():

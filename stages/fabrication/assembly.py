@@ -1,4 +1,4 @@
-"""From bodies to one printable mesh: a union, one part, safe in 32-bit coordinates."""
+"""Make one printable mesh of many bodies: a union, one part, exact in 32-bit coordinates."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from ..surface.polygons import Ints
 Floats32 = NDArray[np.float32]
 
 GRID = 2.0**-12
-"""In mm: what any of the formats tells apart. 32 bits hold its multiples up to 4 m; lib3mf writes
-their decimals a little wrong, and GLB has metres."""
+"""Grid of the coordinates in mm, which every format can represent.
+
+32 bits hold its multiples up to 4 m. lib3mf rounds decimals slightly, and GLB is in metres.
+"""
 AT_ONCE = 200
-"""Bodies that are united in one operation."""
+"""Number of bodies that are united in one operation."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """The printed body and what was left out of it."""
+    """The printed body, and the parts that were left out of it."""
 
     vertices: Floats32
     triangles: Ints
@@ -31,17 +33,20 @@ class Part:
     dropped_parts: int
     dropped_volume: float
     filled_volume: float
-    """Of closed voids that became solid."""
+    """Volume of closed voids that were filled."""
 
 
 def largest(body: Any) -> Part:
     """The largest part of ``body``, as it is written.
 
-    Raises NumericalFailure when the boolean operations failed.
+    Raises NumericalFailure if the boolean operations failed.
     """
     if body.status().name != "NoError" or body.is_empty():
-        raise NumericalFailure(f"the union of the tubes failed ({body.status().name})")
-    # Closed voids come as parts of negative volume: they are filled.
+        raise NumericalFailure(
+            f"the union of the tubes failed ({body.status().name}); change --tube-diameter or "
+            "--merge a little"
+        )
+    # Closed voids are parts of negative volume: they are filled.
     pieces = [(part, part.volume()) for part in body.decompose()]
     parts = [part for part, _ in sorted(pieces, key=lambda piece: -piece[1]) if part.volume() > 0]
     mesh = parts[0].to_mesh64()
@@ -65,8 +70,8 @@ def handles(body: Any) -> int:
 
 
 def union(bodies: list[Any]) -> Any:
-    """The union of ``bodies``, neighbours first: what is united early is small, and hidden surface
-    does not come along."""
+    """The union of ``bodies``, neighbours first, so that early unions are small and hidden surface
+    is removed early."""
     from manifold3d import Manifold, OpType
 
     boxes = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
@@ -80,7 +85,7 @@ def union(bodies: list[Any]) -> Any:
             ordered = which[np.argsort(middle[which, axis], kind="stable")]
             half = len(which) // 2
             body = united(ordered[:half]) + united(ordered[half:])
-        # Else it would only be noted down, to be done all at once in the end.
+        # Without this the operation would only be noted, and all of them done at once in the end.
         body.status()
         return body
 
@@ -88,14 +93,15 @@ def union(bodies: list[Any]) -> Any:
 
 
 def snapped(vertices: NDArray[np.float64]) -> Floats32:
-    """Rounded to GRID."""
+    """Coordinates rounded to GRID."""
     return np.asarray(np.round(vertices / GRID) * GRID, dtype=np.float32)
 
 
 def _weld(vertices: NDArray[np.float64], triangles: Ints) -> tuple[Floats32, Ints]:
-    """Round to GRID, merge equal vertices, drop triangles that collapse.
+    """Round to GRID, merge equal vertices, and remove triangles that collapse.
 
-    Two triangles over the same three vertices in opposite directions enclose nothing and go too.
+    Two triangles over the same three vertices in opposite directions enclose nothing and are
+    removed too.
     """
     places, index = np.unique(snapped(vertices), axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles]

@@ -1,4 +1,5 @@
-"""Where a lamp's light goes, and what the lamp stands on; in millimetres, the floor at z = 0."""
+"""The place of a lamp's light, and what the lamp stands on. In millimetres; the floor is at z =
+0."""
 
 from __future__ import annotations
 
@@ -13,32 +14,34 @@ from . import layers, lights
 from .lights import Cavity, Room
 
 FOOT = 2.4
-"""Thickness of the foot."""
+"""Thickness of the foot in mm."""
 MARGIN = 3.0
-"""How far a pedestal stands out beyond what it carries."""
+"""How far a pedestal extends beyond the shape, in mm."""
 TILT = 8.0
-"""The lamp may be tilted by this many degrees at least before it falls."""
+"""Smallest angle in degrees to which the lamp may be tilted before it falls."""
 CELL = 1.0
-"""Grid on which room for the cavity is looked for; coarser on objects over MOST_CELLS."""
+"""Grid in mm on which room for the cavity is searched; it is coarser for objects of more than
+MOST_CELLS."""
 MOST_CELLS = 400
 SLICES = 16
 SEGMENTS = 96
 OUTSIDE = 1e-9
-"""Share of a room's volume that may lie outside, for rounding."""
+"""Share of a room's volume that may lie outside because of rounding."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the axis of the cavity goes."""
+    """A place for the axis of the cavity."""
 
     x: float
     y: float
     slack: float
-    """By how much all its rooms could grow in radius and stay inside; negative: they do not fit."""
+    """How much the radius of all rooms could grow while they stay inside; negative if they do not
+    fit."""
 
 
 class Inside:
-    """The inside of a surface on horizontal slices, for several questions about it."""
+    """The inside of a surface on horizontal slices, for several searches."""
 
     def __init__(self, surface: PolygonMesh) -> None:
         self._vertices, self._triangles, _ = fan_triangles(surface)
@@ -46,19 +49,19 @@ class Inside:
         self.cell = max(CELL, float(size[:2].max()) / MOST_CELLS)
 
     def distances(self, low: float, high: float) -> tuple[Floats, Floats]:
-        """``(X, Y)``: how far the middle of each cell is from the outside at the least, on all
-        slices from ``low`` to ``high``; and the grid's origin."""
+        """Smallest distance ``(X, Y)`` of the middle of each cell from the outside, over all slices
+        from ``low`` to ``high``, and the grid's origin."""
         from scipy.ndimage import distance_transform_edt
 
         z = np.linspace(low, high, SLICES)
-        z[0] += 1e-3 * (high - low)  # not in the plane of what was cut flat
+        z[0] += 1e-3 * (high - low)  # not in the plane in which the shape was cut flat
         found = list(layers.sections(self._vertices, self._triangles, z, self.cell))
         inside = np.logical_and.reduce([mask for _, mask, _ in found])
-        # A middle outside is one cell beyond the last that is known to be inside.
+        # The middle of an outside cell is one cell beyond the last known inside.
         return np.asarray(distance_transform_edt(inside) * self.cell - self.cell), found[0][2]
 
     def place(self, rooms: list[Room]) -> Place:
-        """The axis about which ``rooms`` have most slack."""
+        """The axis around which ``rooms`` have the most slack."""
         found = [self.distances(room.low, room.high) for room in rooms]
         slack = np.minimum.reduce(
             [distance - room.radius for (distance, _), room in zip(found, rooms, strict=True)]
@@ -69,7 +72,7 @@ class Inside:
 
 
 def cylinder(room: Room, place: Place) -> Any:
-    """A body that holds the whole cylinder: its facets touch it from outside."""
+    """A body that contains the whole cylinder: its facets touch the cylinder from outside."""
     from manifold3d import Manifold
 
     radius = room.radius / np.cos(np.pi / SEGMENTS)
@@ -78,13 +81,13 @@ def cylinder(room: Room, place: Place) -> Any:
 
 
 def lies_within(rooms: list[Room], place: Place, solid: Any) -> bool:
-    """Whether nothing of the rooms lies outside ``solid``, by an exact difference of bodies."""
+    """Whether no part of the rooms lies outside ``solid``, by an exact difference of bodies."""
     bodies = [cylinder(room, place) for room in rooms]
     return all((body - solid).volume() <= OUTSIDE * body.volume() for body in bodies)
 
 
 def _nearest(outline: Floats, place: Place) -> Floats:
-    """The point of the closed line ``outline (N, 2)`` that is nearest to the axis, from there."""
+    """The vector from the axis to the nearest point of the closed line ``outline (N, 2)``."""
     offset = np.asarray(outline) - [place.x, place.y]
     along = np.roll(offset, -1, axis=0) - offset
     length = np.maximum(np.einsum("ij,ij->i", along, along), 1e-300)
@@ -94,13 +97,14 @@ def _nearest(outline: Floats, place: Place) -> Floats:
 
 
 def channel_direction(outline: Floats, place: Place) -> float:
-    """Azimuth, in radians, of the shortest way from the axis to the rim of ``outline (N, 2)``."""
+    """Azimuth, in radians, of the shortest line from the axis to ``outline (N, 2)``."""
     x, y = _nearest(outline, place)
     return float(np.arctan2(y, x))
 
 
 def clear_of(solid: Any, height: float, place: Place) -> float:
-    """How far the axis is from the nearest side of ``solid`` at that height; inf without any."""
+    """Distance from the axis to the nearest side of ``solid`` at that height; inf if there is
+    none."""
     outlines = [np.asarray(outline) for outline in solid.slice(height).to_polygons()]
     return min((float(np.linalg.norm(_nearest(o, place))) for o in outlines), default=np.inf)
 
@@ -114,9 +118,9 @@ def channel(cavity: Cavity, place: Place, azimuth: float, reach: float, width: f
 
 
 def cup_bodies(cavity: Cavity, place: Place, azimuth: float) -> tuple[Any, Any]:
-    """The cup to add, and the cavity to take away; with a lid also the slots for its lugs.
+    """The cup to add and the cavity to remove; with a lid also the slots for its lugs.
 
-    ``azimuth``, in radians, is that of the cable, across which the lugs lie.
+    ``azimuth``, in radians, is that of the cable; the lugs lie across it.
     """
     from manifold3d import Manifold
 
@@ -141,7 +145,7 @@ def cup_bodies(cavity: Cavity, place: Place, azimuth: float) -> tuple[Any, Any]:
 
 
 LUG_SPAN, RUN = 24.0, 40.0
-"""Angle of a lug, and how far the lid is turned to lock it, in degrees."""
+"""Angle of a lug, and by how much the lid is turned to lock it, in degrees."""
 
 
 def _sector(inner: float, outer: float, start: float, stop: float, low: float, high: float) -> Any:
@@ -155,7 +159,8 @@ def _sector(inner: float, outer: float, start: float, stop: float, low: float, h
 
 
 def _slots(cavity: Cavity) -> Any:
-    """Two slots in the wall: up from the floor, then aside. Angles from the locked lug's middle."""
+    """Two slots in the wall: up from the floor, then sideways. Angles are from the middle of a
+    locked lug."""
     inner, outer = cavity.radius - 1.0, cavity.radius + lights.LUG + lights.PLAY
     top = lights.LID + lights.PLAY
     half = 0.5 * LUG_SPAN + 2.0
@@ -188,11 +193,12 @@ def lid_body(cavity: Cavity, place: Place, cable: Any | None, azimuth: float) ->
 
 @dataclass(frozen=True)
 class Balance:
-    """How a body stands: its centre of mass over the hull of what touches the floor."""
+    """How a body stands: its centre of mass and the hull of the parts that touch the floor."""
 
     centre: tuple[float, float, float]
     tilt_degrees: float
-    """How far it can be tilted before it falls; negative: it falls by itself."""
+    """Angle in degrees to which it can be tilted before it falls; negative if it falls by
+    itself."""
 
 
 def balance(centre: Floats, footprint: Floats) -> Balance:
@@ -209,14 +215,16 @@ def balance(centre: Floats, footprint: Floats) -> Balance:
 
 
 def footprint(body: Any) -> Floats:
-    """The convex hull of what ``body`` touches the floor with, ``(N, 2)``, counterclockwise."""
+    """The convex hull of the parts of ``body`` that touch the floor, ``(N, 2)``,
+    counterclockwise."""
     hull = body.slice(0.05).hull()
     polygons = hull.to_polygons()
     return np.asarray(polygons[0], dtype=np.float64) if len(polygons) else np.zeros((0, 2))
 
 
 def foot(solid: Any, centre: Floats) -> tuple[Any, bool]:
-    """The lowest slab of the shape; widened to carry ``centre``, the centre of mass, if need be.
+    """The lowest slab of the shape; widened if needed so that it supports ``centre``, the centre of
+    mass.
 
     The second value says whether it was widened.
     """
@@ -228,7 +236,7 @@ def foot(solid: Any, centre: Floats) -> tuple[Any, bool]:
 
 
 def outline_over(footprint: Floats, centre: Floats, margin: float) -> Any:
-    """A convex outline over ``footprint`` on which the lamp stands with some reserve to TILT."""
+    """A convex outline over ``footprint`` on which the lamp can be tilted by more than TILT."""
     from manifold3d import CrossSection
 
     reserve = 1.1 * float(np.tan(np.radians(TILT))) * float(centre[2]) + 1.0

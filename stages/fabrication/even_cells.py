@@ -13,12 +13,12 @@ from ..surface.polygons import Floats, PolygonMesh
 from ..surface.remesh import divide, remesh, thin_out
 
 SHEET = 0.15
-"""In cell sizes: how near an opposite sheet may be and still be told apart by its normals."""
+"""Distance in cell sizes within which an opposite sheet is still told apart by its normals."""
 SAMPLES = 10_000
 
 
 class _Itself:
-    """A surface as what its new triangles are fitted to, in units of the cells."""
+    """A surface to which new triangles are fitted, in units of the cells."""
 
     def __init__(self, vertices: Floats, triangles: NDArray[np.int64], threads: int) -> None:
         self._closest = ClosestPoint(vertices, triangles, SHEET, threads)

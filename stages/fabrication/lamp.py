@@ -1,4 +1,4 @@
-"""How an object is placed: its axes, its scale, how it stands, and where its light goes."""
+"""The placement of an object: its axes, its scale, how it stands, and where its light is."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from .base import Place
 from .lights import Cavity, Light, Room
 
 TRIMS = (0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
-"""Shares of the height that are cut off for a flat base; the first at which the light fits."""
+"""Shares of the height that are cut off for a flat base; the first one at which the light fits is
+used."""
 LEAST_DIAMETER = 8.0
-"""A light smaller than this many mm is none."""
+"""A light narrower than this, in mm, does not count."""
 LEAST_WINDOW = 4.0
-"""A pedestal's opening for the light has at least this radius in mm."""
+"""Smallest radius, in mm, of a pedestal's opening for the light."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked for, in mm."""
+    """The requested placement, in mm."""
 
     up: str
     height: float
     overhang: float
-    """What tubes add on top, and below when nothing is trimmed: the largest tube radius."""
+    """Height that tubes add at the top, and at the bottom if nothing is trimmed: the largest tube
+    radius."""
     trim: float | None
     """Share of the shape's height cut off for a flat base; None: as little as the light allows."""
     base: str
@@ -40,14 +42,14 @@ class Request:
     wall: float
     lid: bool
     bed: tuple[float, float, float]
-    """What the printer has room for."""
+    """Size of the printer's build space."""
     taper: float = 1.0
-    """Radius of the tubes at the top over that at the bottom."""
+    """Radius of the tubes at the top divided by that at the bottom."""
 
 
 @dataclass(frozen=True)
 class Stance:
-    """Where the object is."""
+    """The placement of the object."""
 
     mm_from_input: Floats
     trim: float
@@ -67,7 +69,7 @@ class Stance:
 def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
     """Place the object as ``_placed`` does.
 
-    Raises UsageError, with the largest light that fits, where none does, and for an object that is
+    Raises UsageError if no light fits, with the largest one that would, and for an object that is
     larger than the printer.
     """
     stance = _placed(polygons, surface, asked)
@@ -75,17 +77,17 @@ def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance
     if (np.sort(size) > np.sort(asked.bed[:2])).any():
         x, y, z = asked.bed
         raise UsageError(
-            f"--bed {x:g}x{y:g}x{z:g}: the object is {size[0]:.0f} x {size[1]:.0f} mm wide; lower "
-            "--height, or say what your printer has room for"
+            f"--bed {x:g}x{y:g}x{z:g}: the object is {size[0]:.0f} x {size[1]:.0f} mm wide; "
+            "lower --height, or give the size of your printer"
         )
     return stance
 
 
 def _placed(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
-    """Place the object, which is drawn from ``polygons`` and whose inside is that of ``surface``.
+    """Place an object that is drawn from ``polygons`` and whose inside is that of ``surface``.
 
-    The cavity is moved to where it has most room, over places and over shares cut off; that its
-    rooms lie inside the shape is then proved with exact bodies.
+    The cavity moves to the place with the most room, over positions and shares that are cut off.
+    Exact bodies then prove that its rooms lie inside the shape.
     """
 
     trims = TRIMS if asked.trim is None else (asked.trim,)
@@ -113,14 +115,15 @@ def _on_pedestal(
     polygons: PolygonMesh, surface: PolygonMesh, asked: Request, trim: float, cavity: Cavity,
     widest: float,
 ) -> Stance:  # fmt: skip
-    """With the light in a pedestal; its window is so small that the shape stands beside it."""
+    """The placement with the light in a pedestal, whose window is so small that the shape stands
+    around it."""
     room = max(widest, 0.0) if np.isfinite(widest) else None
     while True:
         lift = cavity.top
         if lift > 0.5 * asked.height:
             raise UsageError(
-                f"--light {asked.preset}: its pedestal would be {lift:.0f} of {asked.height:g} mm "
-                "high; raise --height or take a smaller light"
+                f"--light {asked.preset}: its pedestal would take {lift:.0f} mm of the "
+                f"height of {asked.height:g} mm; raise --height, or use a smaller light"
             )
         matrix = _matrix(polygons, asked, trim, lift)
         stance = Stance(matrix, trim, lift, "pedestal", cavity, None, room)
@@ -140,29 +143,30 @@ def _on_pedestal(
             return replace(stance, place=place)
         if cavity.bulb is not None or free < LEAST_WINDOW:
             raise UsageError(
-                f"--base pedestal: the shape stands on less than the light's opening needs "
-                f"({2 * max(free, 0):.0f} mm there); cut more off with --trim, or take another --up"
+                f"--base pedestal: the foot of the shape is narrower ({2 * max(free, 0):.0f} "
+                "mm) than the opening for the light; cut more off with --trim, or use "
+                "another --up"
             )
         cavity = replace(cavity, window=0.95 * free)
 
 
 def _no_room(asked: Request, diameter: float) -> str:
     assert asked.light is not None
-    most = f"the largest of this height that fits is {diameter:.0f} mm wide"
+    most = f"the largest light of this height that fits is {diameter:.0f} mm wide"
     if diameter < LEAST_DIAMETER:
-        most = "none of this height fits there"
+        most = "no light of this height fits there"
     ways = "--light largest, " if diameter >= LEAST_DIAMETER and asked.preset != "largest" else ""
     ways += "--base pedestal, " if asked.base != "pedestal" and asked.preset != "largest" else ""
     return (
-        f"--light {asked.preset}: {asked.light.diameter:g} x {asked.light.height:g} mm with its "
-        f"wall does not fit inside the shape; {most}: use {ways}a smaller light, another --up or "
-        "more --height"
+        f"--light {asked.preset}: {asked.light.diameter:g} x {asked.light.height:g} mm with "
+        f"its wall does not fit inside the shape; {most}: use {ways}a smaller light, another "
+        "--up, or a larger --height"
     )
 
 
 def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stance | None, float]:
-    """The stance with its cavity placed inside the shape, if it fits; the largest diameter that
-    does."""
+    """The placement with its cavity inside the shape, if it fits, and the largest diameter that
+    fits."""
     placed = stance.apply(surface)
     inside = base.Inside(placed)
     solid = solid_of(placed).trim_by_plane((0, 0, 1), 0.0)
@@ -183,7 +187,7 @@ def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stanc
 
 
 def centre_of_edges(polygons: PolygonMesh, low: float) -> Floats:
-    """Centre of mass ``(3,)`` of equally thick tubes along all edges, of what is above ``low``."""
+    """Centre of mass ``(3,)`` of equally thick tubes along all edges, of the part above ``low``."""
     from ..surface.topology import edges
 
     ends = polygons.vertices[edges(polygons)]
@@ -228,18 +232,18 @@ def mm_from_input(
 
 @dataclass(frozen=True)
 class Stand:
-    """What is added to the tubes for a base, and what is taken away."""
+    """Bodies that are added to the tubes for a base, and bodies that are removed."""
 
     add: list[Any]
     remove: list[Any]
     lid: Any | None
     widened: bool
-    """Whether the foot was made wider than the shape's own."""
+    """Whether the foot was made wider than the shape."""
     channel_azimuth: float
 
 
 def bodies(stance: Stance, surface: PolygonMesh, polygons: PolygonMesh, cable: float) -> Stand:
-    """The base's bodies; ``surface`` and ``polygons`` are already in mm."""
+    """The bodies of the base; ``surface`` and ``polygons`` are in mm."""
     if stance.base == "none":
         return Stand([], [], None, False, 0.0)
     solid = solid_of(surface)

@@ -1,4 +1,5 @@
-"""The lattice of an object: tubes along edges, and the faces that plates close or tubes seal."""
+"""The lattice of an object: tubes along edges, and faces that are closed by plates or by the
+tubes."""
 
 from __future__ import annotations
 
@@ -17,22 +18,22 @@ if TYPE_CHECKING:
     from ..contract import Progress
 
 CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.6, 2.5, 8.0
-"""Default tube diameter over the radius of the faces, and its limits in nozzle widths."""
+"""Default tube diameter divided by the radius of the faces, and its limits in nozzle widths."""
 MOST_SEALED = 0.5
-"""Tubes that close more of the faces than this are refused."""
+"""Share of the faces; tubes that close more of them are refused."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What an object is made of, in the input's coordinates."""
+    """The surface and cells of an object, in the coordinates of the input."""
 
     polygons: PolygonMesh
-    """Whose edges the tubes follow."""
+    """The polygons whose edges the tubes follow."""
     surface: PolygonMesh
-    """Closed; its inside is the object's."""
+    """A closed surface; its inside is that of the object."""
     drawn: str
     volume: Mapping[str, Any] | None
-    """Arrays of stage volume, where cells are asked for."""
+    """Arrays of stage volume, if cells are asked for."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +63,17 @@ class Lattice:
     body: Any
     graph: tubes.TubeGraph
     radii: Floats
-    """At the nodes ``(K,)``."""
+    """Radii at the nodes ``(K,)``."""
     gaps: Floats
     """Radius of the opening that tubes leave in each face ``(F,)``."""
     sealed: Ints
-    """Faces without an opening as wide as the nozzle: they are closed by panes."""
+    """Faces whose opening is narrower than the nozzle: they are closed by panes."""
     chosen: Ints
     """Faces that became plates."""
     thickness: float
     """Of the panes."""
     touching: int
-    """By how much the genus differs from that of the graph less the closed faces."""
+    """Difference of the genus from that of the graph minus the closed faces."""
     genus: int
 
     @property
@@ -81,7 +82,7 @@ class Lattice:
 
     @property
     def open_area(self) -> Floats:
-        """Share of each face ``(F,)`` that is open."""
+        """Open share of each face ``(F,)``."""
         wide = np.maximum(self.gaps, 0)
         share = (wide / np.maximum(wide + self.radii.mean(), 1e-300)) ** 2
         share[self.panes] = 0
@@ -92,7 +93,7 @@ def build(
     shape: Shape, stance: Stance, design: Design, diameter: float, random: np.random.Generator,
     progress: Progress,
 ) -> Lattice:  # fmt: skip
-    """The lattice of ``shape`` where ``stance`` puts it."""
+    """The lattice of ``shape`` at the placement ``stance``."""
     graph = _graph(shape, stance, design, diameter)
     if len(graph.tubes) == 0:
         raise UsageError(f"--merge {design.merge or 0:g}: contracts every edge; lower it")
@@ -114,7 +115,7 @@ def build(
 
 
 def enlargement(design: Design) -> float:
-    """Factor on the radius of a tube with so many sides."""
+    """Factor on the radius of a tube with this number of sides."""
     return tubes.compensation(tubes.ball(design.sides))
 
 
@@ -148,7 +149,8 @@ def _graph(shape: Shape, stance: Stance, design: Design, diameter: float) -> tub
 
 
 def default_diameter(mesh: PolygonMesh, design: Design) -> float:
-    """In mm, from the radius of the faces of ``mesh``; no less than plates or a taper need."""
+    """Tube diameter in mm, from the radius of the faces of ``mesh``, but at least what plates or a
+    taper need."""
     radius = float(np.median(plates.openings(mesh, np.zeros(mesh.vertex_count))))
     end = max(2 * design.nozzle, design.plate_thickness if design.plates > 0 else 0.0)
     least = max(LEAST_NOZZLES * design.nozzle, end / design.taper)
@@ -157,7 +159,7 @@ def default_diameter(mesh: PolygonMesh, design: Design) -> float:
 
 
 def refuse_thick(mesh: PolygonMesh, outer: float, diameter: float, design: Design) -> None:
-    """Raises UsageError when tubes of that outer radius close over MOST_SEALED of the faces."""
+    """Raise UsageError if tubes of that outer radius close more than MOST_SEALED of the faces."""
     gaps = plates.openings(mesh, np.full(mesh.vertex_count, outer))
     closed = np.flatnonzero(gaps < design.nozzle / 2)
     if len(closed) <= MOST_SEALED * mesh.face_count:

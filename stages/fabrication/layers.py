@@ -1,4 +1,4 @@
-"""The object as a printer lays it: layer by layer, on a grid as fine as the nozzle."""
+"""The object as a printer builds it: layer by layer, on a grid as fine as the nozzle."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from ..compiled import compiled
 from ..surface.polygons import Floats, Ints
 
 MOST_CELLS = 600
-"""Cells along the longest side of a layer; the grid is coarser than the nozzle beyond that."""
+"""Number of cells along the longest side of a layer; beyond it the grid is coarser than the
+nozzle."""
 LEAST_ISLAND = 4
-"""Cells; what is smaller is the grid's, not the object's."""
+"""Number of cells; smaller parts are artefacts of the grid."""
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,15 @@ class Islands:
     """Parts of layers that begin in the air."""
 
     places: Floats
-    """Their middles ``(K, 3)``, the widest first, in mm."""
+    """Their centres ``(K, 3)`` in mm, the widest first."""
     areas: Floats
-    """In mm^2."""
+    """Their areas in mm^2."""
     layers: int
     empty_layers: int
 
 
 def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> Islands:
-    """Parts of each layer that touch nothing of the layer below, diagonally neither."""
+    """Parts of each layer that touch no part of the layer below, diagonally neither."""
     from scipy import ndimage
 
     touch = np.ones((3, 3), bool)
@@ -43,7 +44,7 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
     heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
     for z, mask, origin in sections(vertices, triangles, heights, pitch):
         count += 1
-        # A tip may end between two points: what is empty above everything is not a gap.
+        # A tip may end between two points: an empty layer with nothing above it is not a gap.
         if mask.any():
             filled += 1
             empty = count - filled

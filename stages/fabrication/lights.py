@@ -1,4 +1,4 @@
-"""Lights, and the room that each of them needs; everything in millimetres."""
+"""Lights, and the room that each of them needs. In millimetres."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 LIP = 2.0
-"""How far a cup closes in above its light."""
+"""How far a cup narrows above its light."""
 RING = 3.0
 """Thickness of the ring that a lamp holder is screwed to."""
 HOLDER_ROOM, HOLDER_HEIGHT = 8.0, 40.0
-"""How much wider than its hole a holder is below the ring, and the height it needs there."""
+"""How much wider than its hole a lamp holder is below the ring, and the height that it needs
+there."""
 
 Preset = Literal["tea-light", "puck", "e14", "e27", "usb-bulb", "largest", "none"]
 
 
 @dataclass(frozen=True)
 class Light:
-    """A light: a cylinder that stands in a cup; or a bulb over the ring that holds its holder."""
+    """A light: a cylinder that stands in a cup, or a bulb above a ring that carries its holder."""
 
     diameter: float
     height: float
     hole: float = 0.0
-    """Diameter of the hole for the lamp holder in the ring; 0 is a light without one."""
+    """Diameter of the hole for the lamp holder in the ring; 0 for a light without a holder."""
     cable: float = 0.0
     """Width of the channel for the cable."""
 
@@ -35,7 +36,8 @@ PRESETS = {
     "usb-bulb": Light(45.0, 75.0, hole=32.0, cable=5.0),
     "largest": Light(0.0, 20.0),
 }
-"""Free of E14 and E27 holders: 28.5 and 39.5 mm threads with a ring nut. Bulbs: golf ball, A60."""
+"""Clearance for E14 and E27 holders: 28.5 and 39.5 mm threads with a ring nut. Bulbs: golf ball,
+A60."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,13 @@ class Room:
 
 @dataclass(frozen=True)
 class Cavity:
-    """What is left empty for a light, and what is built around it. Heights count from the floor."""
+    """The empty space for a light, and what is built around it. Heights count from the floor."""
 
     light: Light
     radius: float
-    """Of the room that opens at the floor."""
+    """Radius of the room that opens at the floor."""
     height: float
-    """Of that room, up to the ring or to where the cup begins to close in."""
+    """Height of that room, up to the ring or to where the cup begins to narrow."""
     wall: float
     outer: float
     """Radius of the cup's outside."""
@@ -67,18 +69,19 @@ class Cavity:
 
     @property
     def top(self) -> float:
-        """Height of the cup, which closes in at 45 degrees above the light."""
+        """Height of the cup, which narrows at 45 degrees above the light."""
         return self.height + (RING if self.light.hole else self.radius - self.window)
 
     def rooms(self, keep: float) -> list[Room]:
-        """What must lie within the object; the bulb keeps ``keep`` from the surface."""
+        """Rooms that must lie within the object; the bulb keeps a distance ``keep`` from the
+        surface."""
         cup = Room(self.outer, 0.0, self.top)
         bulb = self.bulb
         return [cup] if bulb is None else [cup, replace(bulb, radius=bulb.radius + keep)]
 
 
 LID, LUG, LUG_LOW, PLAY = 4.0, 1.5, 2.0, 0.3
-"""The bayonet lid: thickness, reach of its lugs, the height they begin at, and the play it has."""
+"""The bayonet lid: thickness, reach of its lugs, the height at which they begin, and its play."""
 
 
 def cavity(light: Light, clearance: float, wall: float, lid: bool) -> Cavity:

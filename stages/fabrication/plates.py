@@ -11,9 +11,9 @@ from ..surface.geometry import face_frames
 from ..surface.polygons import Floats, Ints, PolygonMesh
 
 DARK = 0.3
-"""At least this share of the surface's area stays open, so that the light gets out."""
+"""Share of the surface's area that stays open at least, so that light gets out."""
 BANDS, SECTORS = 8, 12
-"""Of the checker pattern: bands over the height and sectors around the axis."""
+"""The checker pattern: number of bands over the height and of sectors around the axis."""
 
 
 def choose(faces: PolygonMesh, share: float, pattern: str, random: np.random.Generator) -> Ints:

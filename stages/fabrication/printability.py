@@ -1,4 +1,4 @@
-"""Whether an object will print: checks with a verdict each, and the places that are worst."""
+"""Checks whether an object will print, each with a verdict and the worst places."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .base import TILT, Balance
 from .tubes import TubeGraph
 
 WORST = 5
-"""Places that are kept of each check."""
+"""Number of places that are stored for each check."""
 BRIDGE = 10.0
-"""A printer spans this many mm without support; longer bridges sag."""
+"""Length in mm that a printer spans without support; longer bridges sag."""
 LEVEL = 15.0
-"""A tube that rises by fewer degrees is a bridge."""
+"""A tube that rises by fewer degrees than this is a bridge."""
 STEEP, FLAT = 45.0, 70.0
 """Degrees from upright from which on a downward side is an overhang, or nearly a ceiling."""
 MOST_FLAT = 0.2
-"""Share of the surface that may be nearly a ceiling before it is worth a warning."""
+"""Share of the surface that may be nearly a ceiling without a warning."""
 SEALED = 0.01
 """Share of the faces that tubes may close without a warning."""
 THIN = 1e-3
@@ -81,7 +81,7 @@ def wall(
         order = np.argsort(thickness)
         least = float(thickness[order[0]])
         thin = int((thickness < limit - THIN).sum())
-        text = f"thinnest {least:.2f} mm of at least {limit:g}"
+        text = f"thinnest {least:.2f} mm, at least {limit:g} mm required"
         if wanted is not None:
             text += f" (asked for {wanted:g})"
         verdict, worst = "fail" if thin else "ok", _places(points[order])
@@ -90,11 +90,12 @@ def wall(
 
 
 def shell(distances: Floats, wall: float) -> Check:
-    """The wall of a shell: ``distances (N,)`` of the vertices of its inner side from the outer."""
+    """The wall of a shell; ``distances (N,)`` are those of the vertices of its inner side from the
+    outer one."""
     least = float(distances.min())
     return Check(
         "shell", "ok" if least >= wall - THIN else "fail", round(least, 4), wall, "mm",
-        f"thinnest {least:.2f} mm of at least {wall:g}",
+        f"thinnest {least:.2f} mm, at least {wall:g} mm required",
     )  # fmt: skip
 
 
@@ -106,7 +107,7 @@ def axis_points(graph: TubeGraph, keep: Any) -> Floats:
 
 
 def bridges(graph: TubeGraph, keep: Any) -> Check:
-    """Tubes that are nearly level: how far they span."""
+    """The spans of tubes that are nearly level."""
     ends = graph.nodes[graph.tubes]
     along = ends[:, 1] - ends[:, 0]
     across = np.linalg.norm(along[:, :2], axis=1)
@@ -117,13 +118,16 @@ def bridges(graph: TubeGraph, keep: Any) -> Check:
     long = int((across[level] > BRIDGE).sum())
     return Check(
         "bridges", "warn" if long else "ok", round(longest, 3), BRIDGE, "mm",
-        f"longest {longest:.1f} mm; {long} over {BRIDGE:g} mm of {len(level)} nearly level tubes",
+        (
+        f"the longest of {len(level)} nearly level tubes is {longest:.1f} mm; {long} are "
+        f"longer than {BRIDGE:g} mm"
+        ),
         _places(ends.mean(axis=1)[order]),
     )  # fmt: skip
 
 
 def floating(graph: TubeGraph, keep: Any) -> Check:
-    """Nodes of the tubes that have no lower neighbour: the printer begins them in the air."""
+    """Nodes of the tubes without a lower neighbour, which the printer begins in the air."""
     start, stop = graph.tubes.T
     z = graph.nodes[:, 2]
     lowest = np.full(len(z), np.inf)
@@ -133,12 +137,13 @@ def floating(graph: TubeGraph, keep: Any) -> Check:
     order = hanging[np.argsort(z[hanging] - lowest[hanging], kind="stable")]
     return Check(
         "floating starts", "warn" if len(order) else "ok", float(len(order)), 0.0, "nodes",
-        f"{len(order)} of {len(z)} nodes have no lower neighbour", _places(graph.nodes[order]),
+        f"{len(order)} of {len(z)} nodes have no lower neighbour, so they begin in the air",
+        _places(graph.nodes[order]),
     )  # fmt: skip
 
 
 def layered(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> list[Check]:
-    """Islands, and layers without anything, on the finished mesh."""
+    """Islands and empty layers of the finished mesh."""
     found = layers.islands(vertices, triangles, layer, nozzle)
     widest = float(found.areas[0]) if len(found.areas) else 0.0
     return [
@@ -155,7 +160,8 @@ def layered(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> l
 
 
 def overhangs(vertices: Floats, triangles: Ints) -> Check:
-    """Shares of the surface that look down, beyond STEEP and FLAT; what stands on the floor not."""
+    """Shares of the surface that face down by more than STEEP and FLAT, without what stands on the
+    floor."""
     area = triangle_areas(vertices, triangles)
     normal = triangle_normals(vertices, triangles)[0]
     middle = vertices[triangles].mean(axis=1)
@@ -179,18 +185,18 @@ def overhangs(vertices: Floats, triangles: Ints) -> Check:
 def sealed(centres: Floats, sizes: Floats, count: int) -> Check:
     """Faces that the tubes close; ``sizes`` are their openings, negative where tubes overlap.
 
-    A few at the tip of an ear do not matter: they are closed as plates are.
+    A few at the tip of an ear do not matter, since they are closed as plates are.
     """
     order, most = np.argsort(sizes, kind="stable"), SEALED * count
     return Check(
         "sealed faces", "warn" if len(order) > most else "ok", float(len(order)), most, "faces",
-        f"{len(order)} of {count} faces leave no gap as wide as the nozzle and are closed",
+        f"{len(order)} of {count} faces are narrower than the nozzle and are closed",
         _places(centres[order]),
     )  # fmt: skip
 
 
 def bed(size: tuple[float, float, float], room: tuple[float, float, float]) -> Check:
-    """Whether the object, maybe turned by a right angle, fits the printer."""
+    """Whether the object fits the printer, also if it is turned by a right angle."""
     fits = (
         sorted(size[:2])[0] <= sorted(room[:2])[0]
         and sorted(size[:2])[1] <= sorted(room[:2])[1]
@@ -198,13 +204,15 @@ def bed(size: tuple[float, float, float], room: tuple[float, float, float]) -> C
     )
     return Check(
         "bed", "ok" if fits else "fail", round(max(size), 2), max(room), "mm",
-        f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm on "
-        f"{room[0]:g} x {room[1]:g} x {room[2]:g}",
+        (
+        f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, room for {room[0]:g} x "
+        f"{room[1]:g} x {room[2]:g} mm"
+        ),
     )  # fmt: skip
 
 
 def stability(found: Balance) -> Check:
-    """How far the object can be tilted before it falls."""
+    """The angle to which the object can be tilted before it falls."""
     tilt = found.tilt_degrees
     verdict = "fail" if tilt <= 0 else "ok" if tilt >= TILT else "warn"
     return Check(
@@ -216,7 +224,7 @@ def stability(found: Balance) -> Check:
 
 
 def openness(share: float) -> Check:
-    """The share of the surface that lets light out: what neither plates nor tubes cover."""
+    """The share of the surface that lets light out, which neither plates nor tubes cover."""
     return Check(
         "open area", "ok" if share >= 0.1 else "warn", round(share, 4), 0.1, "share",
         f"{100 * share:.0f} % of the surface is open",

@@ -1,4 +1,4 @@
-"""Checks of the written files, as other libraries read them back."""
+"""Checks of the written files, read back by other libraries."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from ..errors import NumericalFailure
 
 SCALES = {"glb": 1000.0}
-"""Millimetres in a file's unit."""
+"""Millimetres in a unit of each file format."""
 
 
 @dataclass(frozen=True)
 class PrintCheck:
-    """What a file holds."""
+    """The content of a file."""
 
     watertight: bool
     consistent_winding: bool
@@ -27,7 +27,8 @@ class PrintCheck:
     lowest_mm: float
 
     def fault(self, bodies: int = 1) -> str | None:
-        """Why the file, which should hold so many bodies, is not fit for printing, or None."""
+        """Why the file, which should have this number of bodies, is not fit for printing, or
+        None."""
         if not self.watertight:
             return "is not watertight"
         if not self.consistent_winding or self.volume_mm3 <= 0:
@@ -39,10 +40,8 @@ class PrintCheck:
 
 
 def check(path: Path) -> PrintCheck:
-    """Read ``path`` with trimesh, merge equal vertices as a slicer does, and measure.
-
-    3MF is read with lib3mf in strict mode.
-    """
+    """Read ``path`` with trimesh, merge equal vertices as a slicer does, and measure. 3MF is read
+    with lib3mf in strict mode."""
     import trimesh
 
     kind = path.suffix[1:]
@@ -75,13 +74,13 @@ def check(path: Path) -> PrintCheck:
 
 
 CLOSE = 1e-3
-"""Relative difference that the volumes of two files of one object may have: GLB's are in metres."""
+"""Allowed relative difference of the volumes of two files of one object: GLB is in metres."""
 
 
 def of_files(paths: dict[str, Path], bodies: int) -> dict[str, Any]:
-    """What the STL holds, and of every other file that it holds the same.
+    """The content of the STL; every other file must have the same.
 
-    Raises NumericalFailure when one is not fit for printing.
+    Raises NumericalFailure if a file is not fit for printing.
     """
     expected = {"lid.stl": 1, "3mf": bodies + ("lid.stl" in paths)}
     kinds = [kind for kind in ("stl", "3mf", "obj", "glb", "lid.stl") if kind in paths]

@@ -1,4 +1,4 @@
-"""What can be made of a shape: tubes with plates and a base, solids and shells, cells apart."""
+"""The products: tubes with plates and a base, solids and shells, separate cells."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from ..contract import Progress
 
 OVERLAP = 0.5
-"""By which a solid reaches into its pedestal, mm."""
+"""Depth in mm by which a solid reaches into its pedestal."""
 DRAWN = {"volume": "inner edges of the volume", "both": "edges of the volume"}
 MOST_DROPPED = 1.0
-"""Volume in mm^3 that may be lost with parts that hang on nothing."""
+"""Volume in mm^3 that may be lost with unconnected parts."""
 
 
 def _no_tubes() -> dict[str, Any]:
@@ -66,11 +66,11 @@ class Product:
 
 
 def _closed(body: Any, name: str, loss: str) -> Part:
-    """One printable part. Raises NumericalFailure when more than MOST_DROPPED is not connected."""
+    """One printable part. Raises NumericalFailure if more than MOST_DROPPED is not connected."""
     part = assembly.largest(body)
     if part.dropped_volume > MOST_DROPPED:
         raise NumericalFailure(
-            f"{part.dropped_parts} pieces of together {part.dropped_volume:.1f} mm3 are not "
+            f"{part.dropped_parts} pieces of {part.dropped_volume:.1f} mm3 in total are not "
             f"connected to the {name}; {loss}"
         )
     return part
@@ -91,7 +91,7 @@ def _centre(body: Any) -> Floats:
 
 
 def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
-    """The surface as a solid, or as a shell of ``wall`` mm that is open below."""
+    """The surface as a solid, or as a shell of ``wall`` mm that is open at the bottom."""
     stance = lamp.stand(shape.surface, shape.surface, asked)
     surface = stance.apply(shape.surface)
     checks = []
@@ -101,7 +101,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
         body, distances = solids.shell(surface, wall)
         checks.append(printability.shell(distances, wall))
     if stance.base != "none":
-        # It reaches into a pedestal: what only touches is not one body.
+        # The solid reaches into a pedestal, since bodies that only touch are not one body.
         body = body.trim_by_plane((0, 0, 1), max(stance.lift - OVERLAP, 0.0))
     if stance.base == "pedestal":
         body = assembly.union([body, *lamp.bodies(stance, surface, surface, 0.0).add])
@@ -109,12 +109,12 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
     if part.filled_volume > MOST_DROPPED:
         if wall is None:
             raise UsageError(
-                f"--solid: the shape has closed cavities of {part.filled_volume:.0f} mm3, which no "
-                "file for printing keeps apart from the solid; take --lattice --edges both"
+                f"--solid: the shape has closed cavities of {part.filled_volume:.0f} mm3, "
+                "which files for printing cannot hold; use --lattice --edges both"
             )
         raise UsageError(
-            f"--wall {wall:g}: the hollow would be closed all round (nothing comes out of it); "
-            "lower it, or open the shape with --base footprint and a larger --trim"
+            f"--wall {wall:g}: the hollow would have no opening; lower it, or open the shape "
+            "with --base footprint and a larger --trim"
         )
     stable, metrics = _standing(body)
     return Product(
@@ -127,7 +127,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
 
 
 def exploded(shape: Shape, asked: Request, factor: float) -> Product:
-    """The cells of the volume, apart: to look at, and a body each."""
+    """The cells of the volume as separate bodies."""
     assert shape.volume is not None
     vertices, triangles = solids.exploded(shape.volume, factor)
     matrix = lamp.mm_from_input(vertices, asked.up, asked.height, 0.0, 0.0)
@@ -148,12 +148,12 @@ def exploded(shape: Shape, asked: Request, factor: float) -> Product:
 def tubes_of(
     shape: Shape, asked: Request, design: Design, random: np.random.Generator, progress: Progress
 ) -> Product:
-    """Tubes along edges; with plates, a base and a cavity as far as asked for.
+    """Tubes along edges, with plates, a base and a cavity if asked for.
 
-    Raises UsageError when the tubes would close most faces, and NumericalFailure when the result
-    is not one body.
+    Raises UsageError if the tubes would close most faces, and NumericalFailure if the result is not
+    one body.
     """
-    # The scale decides the default diameter, which decides how much room tubes take: twice round.
+    # The scale decides the default diameter, which decides how much room tubes take: two rounds.
     mesh, _ = lattice.followed(shape, design)
     asked = replace(asked, taper=design.taper)
     first = lamp.stand(mesh, shape.surface, replace(asked, light=None))
@@ -223,7 +223,7 @@ def _how_to_join(made: Lattice, design: Design) -> str:
         way = "print them one by one"
         if design.edges == "surface":
             way += ", or, if one lies inside the other, join them with --edges both"
-        return f"the shape is in {made.graph.parts} parts that no tube joins: {way}"
+        return f"the tubes form {made.graph.parts} separate parts: {way}"
     return "raise --height or --tube-diameter, or lower --merge"
 
 
@@ -265,29 +265,32 @@ def _warnings(
     said = []
     if stance.base == "pedestal" and asked.base == "auto" and stance.room is not None:
         said.append(
-            f"the light does not fit inside the shape (up to {max(stance.room, 0):.0f} mm wide "
-            "would): it stands in a pedestal"
+            "the light does not fit inside the shape (a light of up to "
+            f"{max(stance.room, 0):.0f} mm wide would), so it is in a pedestal"
         )
     if stance.base != "none" and asked.trim is None and stance.trim > lamp.TRIMS[0]:
         said.append(
-            f"{100 * stance.trim:.0f} % of the height were cut off to make room for the light"
+            f"{100 * stance.trim:.0f} % of the height was cut off to make room for the light"
         )
     if footing.widened:
         said.append("the foot was made wider than the shape, which would not stand on its own")
     wanted = round(design.plates * (made.graph.faces.face_count - len(made.sealed)))
     if len(made.chosen) < wanted:
         shown = len(made.chosen)
-        said.append(f"{shown} of {wanted} plates: more would leave too little of it open")
+        said.append(
+            f"only {shown} of {wanted} plates are made: more would leave too little of the "
+            "surface open"
+        )
     if made.touching and design.edges == "surface":
         said.append(
-            f"tubes touch in {abs(made.touching)} places where no face closes (the shape is thin "
-            "there)"
+            f"tubes touch in {abs(made.touching)} places that are not faces, since the shape "
+            "is thin there"
         )
     return said
 
 
 def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], Any]:
-    """Tells which points of axes keep clear of the floor, the base and what is carved out."""
+    """A function that says which points of axes are clear of the floor, the base and the cavity."""
     floor = stance.lift + diameter + (cable if stance.lift == 0 and stance.place else 0.0)
     if stance.base == "footprint" and stance.lift == 0:
         floor = max(floor, base.FOOT + diameter)
@@ -305,7 +308,7 @@ def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], 
 
 
 def _facts(part: Part, stance: Stance) -> dict[str, Any]:
-    """Figures of any product that stands."""
+    """Figures of any product that stands on the floor."""
     found: dict[str, Any] = {
         "base": stance.base,
         "trim": stance.trim,
@@ -331,7 +334,7 @@ def _facts(part: Part, stance: Stance) -> dict[str, Any]:
 
 
 def _light_at(stance: Stance, surface: PolygonMesh) -> tuple[float, float, float] | None:
-    """Where the light is for pictures: over the cup, inside the shape."""
+    """The place of the light for pictures: above the cup, inside the shape."""
     if stance.place is None or stance.cavity is None:
         return None
     top = float(surface.vertices[:, 2].max())

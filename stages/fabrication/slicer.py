@@ -1,4 +1,4 @@
-"""PrusaSlicer as the judge of a written file: what it repairs, leaves out, needs and says."""
+"""PrusaSlicer as a test of a written file: what it repairs or leaves out, and its estimates."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ REPAIRS = (
     "open_edges", "edges_fixed", "degenerate_facets", "facets_removed", "facets_reversed",
     "backwards_edges",
 )  # fmt: skip
-"""Keys of --info that are there only if the slicer had to mend the mesh."""
+"""Keys of --info that appear only if the slicer had to repair the mesh."""
 SECONDS = 3600
 
 
 @dataclass(frozen=True)
 class Sliced:
-    """What the slicer found."""
+    """The result of the slicer."""
 
     version: str
     parts: int
@@ -42,7 +42,7 @@ class Sliced:
 
 
 def program() -> str:
-    """The slicer's command. Raises BackendMissing when there is none."""
+    """The slicer's command. Raises BackendMissing if there is none."""
     named = os.environ.get(VARIABLE)
     for name in (named,) if named else PROGRAMS:
         found = shutil.which(name)
@@ -55,7 +55,7 @@ def program() -> str:
 
 
 def _run(words: list[str], name: str) -> str:
-    """What the slicer prints. Raises NumericalFailure when it fails or never ends."""
+    """The output of the slicer. Raises NumericalFailure if it fails or does not end."""
     try:
         done = subprocess.run(
             words, capture_output=True, text=True, errors="replace", timeout=SECONDS
@@ -87,16 +87,16 @@ def slice_file(
 ) -> Sliced:  # fmt: skip
     """Slice an STL of ``parts`` bodies that is ``height`` mm high.
 
-    Raises BackendMissing without a slicer, and NumericalFailure when the slicer mends the mesh,
-    finds other parts than expected, or leaves layers out.
+    Raises BackendMissing without a slicer, and NumericalFailure if the slicer repairs the mesh,
+    finds another number of parts, or leaves layers out.
     """
     command, name = program(), path.name
     info = read_info(_run([command, "--info", str(path)], name))
     mended = [key for key in REPAIRS if key in info]
     if info.get("manifold") != "yes" or mended:
         raise NumericalFailure(
-            f"{name}: the slicer has to mend it ({', '.join(mended) or 'not manifold'}); try "
-            "another --tube-diameter or --merge"
+            f"{name}: the slicer has to repair it ({', '.join(mended) or 'not manifold'}); "
+            "try another --tube-diameter or --merge"
         )
     found = int(info.get("number_of_parts", "0"))
     if found != parts:
@@ -107,7 +107,7 @@ def slice_file(
         target = Path(folder) / "out.gcode"
         x, y = room[:2]
         if float(info.get("size_x", 0)) > x or float(info.get("size_y", 0)) > y:
-            x, y = y, x  # it fits when it is turned, or would have been refused
+            x, y = y, x  # it fits when turned, or would have been refused
         said = _run(
             [
                 command, "--export-gcode", "--load", str(PROFILE), "--loglevel", "2",

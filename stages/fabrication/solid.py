@@ -1,4 +1,5 @@
-"""Solids, shells, and the cells of the volume: as tubes along their edges, or drawn apart."""
+"""Solids, shells, and the cells of the volume: as tubes along their edges, or as separate
+bodies."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from ..surface.solids import solid_of
 from ..surface.topology import edges
 
 GRID = 128
-"""Cells of the distance grid along the longest side; more where the wall would be under two."""
+"""Cells of the distance grid along the longest side; more if the wall would be thinner than two
+cells."""
 MOST_GRID = 256
 
 
@@ -41,14 +43,17 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
         vertices, triangles, level, cells, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     )
     if len(faces) == 0:
-        raise UsageError(f"--wall {wall:g}: no place lies so deep inside; lower it")
-    # Marching cubes turns its triangles to the lower side or the upper one, by version.
+        raise UsageError(f"--wall {wall:g}: no part of the shape is that thick; lower it")
+    # Depending on the version, marching cubes orients its triangles to the lower or the upper side.
     corners = inner[faces]
     if np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0:
         faces = faces[:, ::-1]
     hollow = Manifold(Mesh64(inner, faces.astype(np.uint64)))
     if hollow.status().name != "NoError":
-        raise NumericalFailure(f"the inner side of the shell is no solid ({hollow.status().name})")
+        raise NumericalFailure(
+            f"the inner side of the shell is not a solid ({hollow.status().name}); change --wall "
+            "a little"
+        )
     square, _, _ = TriangleTree(vertices, triangles).closest(inner)
     return solid - hollow, np.sqrt(square)
 

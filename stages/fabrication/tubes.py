@@ -12,9 +12,9 @@ from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edges
 
 RISE = 0.02
-"""By which a raised node is above its lower neighbour, mm."""
+"""Height in mm by which a raised node lies above its lower neighbour."""
 FILLET_REACH, FILLET_RADIUS = 1.6, 0.8
-"""How far along a tube its fillet goes, and how thick it ends, in tube radii."""
+"""Length of a fillet along a tube, and its thickness there, in tube radii."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class TubeGraph:
     tubes: Ints
     faces: PolygonMesh
     face_sources: Ints
-    """For each face of ``faces`` the face of the surface it comes from."""
+    """For each face of ``faces``, the face of the surface that it comes from."""
 
     @property
     def lengths(self) -> Floats:
-        """Of the tubes ``(E,)``, in mm."""
+        """Lengths of the tubes ``(E,)`` in mm."""
         ends = self.nodes[self.tubes]
         return np.asarray(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
@@ -86,7 +86,7 @@ def raised(graph: TubeGraph, floor: float, most: float) -> TubeGraph:
     start, end = np.concatenate([graph.tubes, graph.tubes[:, ::-1]]).T
     height, count = graph.nodes[:, 2], len(graph.nodes)
     standing = (height <= floor) | (height == height.min())
-    # As water fills hollows: the lowest heights from which a way leads down to what stands.
+    # As water fills hollows: the lowest heights from which a path leads down to a node that stands.
     filled = np.where(standing, height, np.inf)
     while True:
         least = np.full(count, np.inf)

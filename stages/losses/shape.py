@@ -66,13 +66,19 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | Im
         views = cast("ViewSource", source).views.in_frame(frame.origin, frame.spacing)
         return ImageLoss(views, context.seed, context.threads)
     if kind == "images":
-        raise UsageError(f"--shape-loss images: the input is a {source.kind}; only views have them")
+        raise UsageError(
+            f"--shape-loss images: the input is of kind {source.kind}, and only views have images"
+        )
     if isinstance(source, FieldSource):
         if kind == "chamfer":
-            raise UsageError("--shape-loss chamfer: a field has no target points; use level-set")
+            raise UsageError(
+                "--shape-loss chamfer: a field has no points to compare with; use level-set"
+            )
         return (first_order_distance if kind == "distance" else level_set)(source.level, frame)
     if kind == "level-set":
-        raise UsageError(f"--shape-loss level-set: no level set in {source.kind}; use chamfer")
+        raise UsageError(
+            f"--shape-loss level-set: an input of kind {source.kind} has no level set; use chamfer"
+        )
     if kind == "distance":
         return Distance(context.surface)
     target = frame.model_from_input(

@@ -1,1 +1,1 @@
-"""What is measured of a surface."""
+"""Figures and checks of surfaces and cells."""

@@ -18,7 +18,7 @@ class ChamferResult:
     precision: float
     recall: float
     sampling_floor: float
-    """What two independent samplings of one surface would give: ``2 A / (pi N)``."""
+    """The value for two independent samplings of one surface: ``2 A / (pi N)``."""
 
 
 def nearest(points: Floats, target: Floats, threads: int = 1) -> Floats:

@@ -23,16 +23,18 @@ if TYPE_CHECKING:
     from ..surface.model_frame import ModelFrame
 
 SHARP = 30.0
-"""Degrees by which a surface turns at a sharp edge. Less than ANGLE: a crease that turns by just
-that is flattened a little by triangles that are not quite on both its sides. Where a crease fades
-out, what turns by 30 to 40 degrees thus counts against the precision, that of the reference's own
-edges too."""
+"""Smallest angle in degrees of a sharp edge of the surface.
+
+It is smaller than ANGLE, since triangles that are not exactly on both sides flatten a crease a
+little. Where a crease fades out, edges of 30 to 40 degrees therefore count against the precision,
+those of the reference too.
+"""
 TOLERANCE = 0.005
-"""How far apart edges may be, with the longest side of the reference's box as 1."""
+"""Distance within which edges agree, where the longest side of the reference's box is 1."""
 STEP = 0.2
-"""Distance of the points on edges, in tolerances."""
+"""Distance between points on edges, in tolerances."""
 MOST_POINTS = 1_000_000
-"""On all edges of a surface: of a rough one nearly every edge is sharp."""
+"""Largest number of points: nearly every edge of a rough surface is sharp."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +52,18 @@ class CreaseAgreement:
     edge_precision: float
     """Share of the sharp edges within the tolerance of a crease."""
     distance_median: float | None
-    """From points on the creases to the closest sharp edge."""
+    """Distance from points on the creases to the closest sharp edge."""
     distance_p99: float | None
     crease_length: float
-    """Of all creases, with the longest side of the reference's box as 1."""
+    """Length of all creases, where the longest side of the reference's box is 1."""
     sharp_length: float
-    """Of all sharp edges, likewise."""
+    """Length of all sharp edges, in the same unit."""
     tolerance: float
     """With the longest side of the reference's box as 1."""
     crease_angle: float
-    """Degrees from which the reference's edges are creases."""
+    """Smallest angle in degrees of a crease of the reference."""
     sharp_angle: float
-    """Degrees from which the surface's edges are sharp."""
+    """Smallest angle in degrees of a sharp edge of the surface."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Segments:
 
     @cached_property
     def lengths(self) -> Floats:
-        """Of each piece, ``(S,)``."""
+        """Length of each piece, ``(S,)``."""
         start, end = self.vertices[self.ends[:, 0]], self.vertices[self.ends[:, 1]]
         return np.asarray(np.linalg.norm(end - start, axis=1))
 

@@ -18,17 +18,18 @@ from ..surface.subdivision import subdivided
 from ..surface.topology import edge_keys
 
 Distance = Callable[[Floats], Floats]
-"""From points ``(N, 3)`` their distances ``(N,)``."""
+"""A function from points ``(N, 3)`` to their distances ``(N,)``."""
 
 REACH = 2.0
 """The paper's rho: the radius of a fit in units of the reference's median edge length."""
 MINIMUM_NEIGHBOURS = 8
 CONDITION_LIMIT = 1e8
-"""Of the 6 x 6 normal matrix in coordinates divided by the radius; the paper gives no number."""
+"""Largest condition number of the 6 x 6 normal matrix, in coordinates divided by the radius; the
+paper gives none."""
 MOST_NEIGHBOURS = 2000
-"""More neighbours than this say that the radius does not fit the surface; no fit is made."""
+"""With more neighbours the radius does not suit the surface, and no fit is made."""
 MOST_VERTICES = 600_000
-"""Of a surface divided to the edge length of its reference."""
+"""Largest number of vertices of a surface that is divided to the edge length of its reference."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,7 @@ def of_reference(
 
 
 def _exact(size: Floats) -> dict[str, Any] | None:
-    """What there is to say of exact values of |H| at samples ``(N,)``."""
+    """Statistics of exact values of |H| at samples ``(N,)``."""
     if len(size) == 0:
         return None
     return {
@@ -239,7 +240,7 @@ def _exact(size: Floats) -> dict[str, Any] | None:
 
 
 def settings(edge: float, of_mesh: bool) -> dict[str, float | str]:
-    """What the fits were made with, for the manifest; ``edge`` is h_ref."""
+    """Settings of the fits, for the manifest; ``edge`` is h_ref."""
     return {
         "h_ref": edge,
         "h_ref_is": "median edge of the reference" if of_mesh else "half the voxel edge",
@@ -251,7 +252,8 @@ def settings(edge: float, of_mesh: bool) -> dict[str, float | str]:
 
 
 def dihedral_mean_curvature(mesh: PolygonMesh) -> float:
-    """``sum |theta| L / (2 A)`` over edges in two faces: needs no radius and sees roughness."""
+    """``sum |theta| L / (2 A)`` over edges in two faces. It needs no radius and is sensitive to
+    roughness."""
     area, normal, _ = geometry.face_frames(mesh)
     keys, _ = edge_keys(mesh)
     order = np.argsort(keys, kind="stable")

@@ -1,4 +1,4 @@
-"""Where a surface has something that its input has not, or the input that the surface has not."""
+"""Places where the written surface has parts that the input lacks, or lacks parts that it has."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from ..surface.model_frame import ModelFrame
 
 SAMPLES = 20_000
-"""Points on the written surface."""
+"""Number of sample points on the written surface."""
 FAR, SPACINGS = 1.0, 4.0
-"""Distance from which on something is not the same: in units of h0, of a cloud also in units of the
-spacing of its points."""
+"""Distance from which on parts differ, in units of h0, and for a cloud in units of its spacing."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Departure:
 
     @classmethod
     def of(cls, points: Floats, distance: Floats, limit: float, frame: ModelFrame) -> Departure:
-        """Of ``distance (N,)`` at ``points (N, 3)``, in model units."""
+        """Summary of ``distance (N,)`` at ``points (N, 3)``, in model units."""
         worst = int(np.argmax(distance))
         return cls(
             p99=float(np.percentile(distance, 99)),
@@ -51,7 +50,7 @@ class Departure:
         )
 
     def told(self, spacing: float) -> str:
-        """How much lies how far off; ``spacing`` is h0 in the input's unit."""
+        """The distances in words; ``spacing`` is h0 in the unit of the input."""
         place = ", ".join(f"{x:.6g}" for x in self.place)
         return (
             f"further than {spacing * self.limit:.3g}, up to {spacing * self.largest:.3g} at "
@@ -61,17 +60,18 @@ class Departure:
 
 @dataclass(frozen=True)
 class Departures:
-    """Of the written surface from the input, and of the input from the written surface."""
+    """Distances of the written surface from the input, and of the input from the written
+    surface."""
 
     surface: Departure
     input: Departure
     points: bool
-    """Whether the input is points."""
+    """Whether the input is a point cloud."""
     enclosed: float
     """Share of the points that lie far inside the surface."""
 
     def facts(self) -> dict[str, Any]:
-        """For the manifest."""
+        """Figures for the manifest."""
         return {"surface_to_input": asdict(self.surface), "input_to_surface": asdict(self.input)}
 
     def warnings(self, spacing: float) -> list[str]:
@@ -80,18 +80,20 @@ class Departures:
             what = "any point" if self.points else "the input"
             why = "nothing was measured there" if self.points else "the input has nothing there"
             said.append(
-                f"{100 * self.surface.far:.2g} % of the surface lies {self.surface.told(spacing)}, "
-                f"from {what}: {why}, so look at it before you use it"
+                f"{100 * self.surface.far:.2g} % of the surface lies "
+                f"{self.surface.told(spacing)}, from {what}: {why}, so check the surface "
+                "there before you use it"
             )
         if self.enclosed > 0.5 * self.input.far:
             said.append(
                 f"{100 * self.enclosed:.2g} % of the points lie inside the surface, "
-                f"{self.input.told(spacing)}, from it: they are no points of a surface"
+                f"{self.input.told(spacing)}, from it: they are not followed, so check "
+                "whether they belong to the surface"
             )
         elif self.input.far:
             said.append(
-                f"{100 * self.input.far:.2g} % of the input lies {self.input.told(spacing)}, from "
-                "the surface: it is lost; raise -n"
+                f"{100 * self.input.far:.2g} % of the input lies {self.input.told(spacing)}, "
+                "from the surface: these parts are lost; raise -n"
             )
         return said
 

@@ -14,22 +14,23 @@ from ..surface.polygons import Floats, Ints
 
 @dataclass(frozen=True)
 class Fidelity:
-    """Of a surface against the true one, in the frame the surface was given in."""
+    """Agreement of a surface with the true one, in the frame of the surface."""
 
     surface_cd2: float
-    """Mean squared distance of samples to the other surface, both ways added."""
+    """Mean squared distance of samples to the other surface, summed over both directions."""
     to_reference_cd2: float
-    """The part from the surface to the true one."""
+    """The part of the samples on the surface."""
     from_reference_cd2: float
     rms: float
     """Square root of half of surface_cd2."""
     p99: float
-    """Of the distances, both ways together."""
+    """99th percentile of the distances of both directions together."""
     normal_consistency: float
-    """Mean cosine between the normals at samples and at their closest points, both ways."""
+    """Mean cosine between the normals at samples and at their closest points, of both
+    directions."""
 
     def scaled(self, factor: float) -> Fidelity:
-        """The same in a frame whose lengths are ``factor`` times as large."""
+        """The same figures in a frame whose lengths are ``factor`` times as large."""
         return replace(
             self,
             surface_cd2=factor**2 * self.surface_cd2,

@@ -1,4 +1,4 @@
-"""What a surface must be, each with the elements that are in the way."""
+"""The gates that a surface passes or fails, with the elements that fail."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..surface.topology import (
 from .intersections import DEPTH, self_intersections
 
 NAMED = 20
-"""Elements of each kind that a manifest names; the PLY has all."""
+"""Number of elements of each kind that a manifest names; the PLY has all."""
 CODES = {
     "open_edges": 1,
     "crowded_edges": 2,
@@ -39,13 +39,13 @@ class Defects:
     """Elements that a surface should not have."""
 
     open_edges: Ints
-    """In one face only ``(E, 2)``."""
+    """Edges in one face only ``(E, 2)``."""
     crowded_edges: Ints
-    """In more than two faces, or from a vertex to itself ``(E, 2)``."""
+    """Edges in more than two faces, or from a vertex to itself ``(E, 2)``."""
     turned_edges: Ints
-    """In two faces that go along them the same way ``(E, 2)``."""
+    """Edges in two faces of opposite orientation ``(E, 2)``."""
     pinched_vertices: Ints
-    """Whose faces are not one fan ``(V,)``."""
+    """Vertices whose faces form more than one fan ``(V,)``."""
     crossing_faces: Ints
     """Pairs of faces that cross each other, or themselves ``(P, 2)``."""
 
@@ -54,7 +54,7 @@ class Defects:
         return sum(len(getattr(self, kind)) for kind in CODES)
 
     def named(self) -> dict[str, Any]:
-        """How many of each kind there are, and the first of them."""
+        """The number of elements of each kind, and the first of them."""
         return {
             kind: {"count": len(elements), "first": elements[:NAMED].tolist()}
             for kind in CODES
@@ -64,8 +64,11 @@ class Defects:
     def mesh(
         self, surface: PolygonMesh
     ) -> tuple[PolygonMesh, dict[str, Floats], dict[str, Floats]]:
-        """The faces of ``surface`` at a defect, with data by vertex and by face: its number in
-        ``surface``, and the code of its defect (the lowest, 0 for what is only near one)."""
+        """The faces of ``surface`` at a defect, with data by vertex and by face.
+
+        The data are the number in ``surface`` and the code of the defect: the lowest one, and 0 for
+        elements next to a defect.
+        """
         vertex_code = np.full(surface.vertex_count, len(CODES) + 1)
         face_code = np.full(surface.face_count, len(CODES) + 1)
         keys, _ = edge_keys(surface)
@@ -93,7 +96,8 @@ class Defects:
 
 
 def defects(mesh: PolygonMesh) -> Defects:
-    """Find them. Faces with more than three corners are taken as fans about their centroids."""
+    """Find all defects. Faces with more than three corners are divided into fans about their
+    centroids."""
     edges, fault = edge_faults(mesh)
     vertices, triangles, face = fan_triangles(mesh)
     return Defects(
@@ -108,9 +112,9 @@ def defects(mesh: PolygonMesh) -> Defects:
 def gates(
     mesh: PolygonMesh, found: Defects, expected: tuple[int, int] | None
 ) -> dict[str, bool | str]:
-    """Whether each gate holds, or a sentence that says why that is not known.
+    """Whether each gate passes, or a sentence that says why that is not known.
 
-    ``expected`` are the Euler number and the number of components that the reference has.
+    ``expected`` are the reference's Euler number and number of components.
     """
     facts = topology(mesh)
     directed = not len(found.turned_edges)
@@ -127,12 +131,12 @@ def gates(
         "free_of_self_intersections": not len(found.crossing_faces),
         "topology": (facts.euler_number, facts.components) == expected
         if expected
-        else "not known: that of the reference is not",
+        else "not known: the topology of the reference is not known",
     }
 
 
 def failed(metrics: dict[str, Any]) -> dict[str, str]:
-    """What is wrong at each gate that an evaluation found not to hold, in words."""
+    """A sentence for each gate that fails."""
     count = {kind: entry["count"] for kind, entry in metrics["defects"].items()}
     first = {kind: entry["first"] for kind, entry in metrics["defects"].items()}
 
@@ -149,14 +153,18 @@ def failed(metrics: dict[str, Any]) -> dict[str, str]:
     words = {
         "closed": said("open_edges", "edges in one face only"),
         "edges_manifold": said("crowded_edges", "edges in more than two faces"),
-        "vertices_manifold": said("pinched_vertices", "vertices whose faces are not one fan"),
+        "vertices_manifold": said(
+            "pinched_vertices", "vertices whose faces form more than one fan"
+        ),
         "oriented": said("turned_edges", "edges whose two faces are turned against each other"),
         "outward": "the faces point inward",
         "free_of_self_intersections": said(
             "crossing_faces", f"pairs of faces that cross deeper than {DEPTH:g} of the diagonal"
         ),
-        "topology": f"Euler number {facts['euler_number']} and {facts['components']} components, "
-        f"for {expected.get('euler_number')} and {expected.get('components')} of the reference",
+        "topology": (
+            f"Euler number {facts['euler_number']} and {facts['components']} components, where "
+            f"the reference has {expected.get('euler_number')} and {expected.get('components')}"
+        ),
         "certificate": "the certificate does not hold",
     }
     return {name: words[name] for name, held in metrics["gates"].items() if held is False}

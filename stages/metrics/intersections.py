@@ -8,13 +8,13 @@ from ..compiled import compiled
 from ..surface.polygons import Floats, Ints
 
 DEPTH = 1e-9
-"""In units of the bounding box's diagonal: triangles that touch less deeply than this do not cross.
+"""Depth, in units of the bounding box's diagonal, from which on triangles cross.
 
 Corners are rounded to 1e-16 of their coordinates, and faces with more than three corners are flat
-only up to that; what is 1e7 times as deep is no rounding.
+only to that precision. A depth that is 1e7 times as large is not rounding.
 """
 MOST_CELLS = 24
-"""Cells of the grid that a triangle lies in on average, at the most."""
+"""Largest average number of grid cells of a triangle."""
 
 
 def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
@@ -102,7 +102,7 @@ def _crossings(
                     if boxes[a, 0, k] > boxes[b, 1, k] or boxes[b, 0, k] > boxes[a, 1, k]:
                         apart = True
                     home = home * shape[k] + max(first[a, k], first[b, k])
-                # Of the cells that both lie in, only the lowest one looks at them.
+                # Only the lowest of the cells that both triangles lie in compares them.
                 if apart or home != cell:
                     continue
                 if _cross(vertices, triangles[a], triangles[b], normal[a], normal[b]):
@@ -139,7 +139,7 @@ def _normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 @compiled
 def _along(vertices: Floats, a: int, b: int, c: int, d: int) -> float:
-    """Scalar product of the ways from ``a`` to ``b`` and from ``c`` to ``d``."""
+    """Scalar product of the vectors from ``a`` to ``b`` and from ``c`` to ``d``."""
     total = 0.0
     for k in range(3):
         total += (vertices[b, k] - vertices[a, k]) * (vertices[d, k] - vertices[c, k])

@@ -35,7 +35,8 @@ class Quality:
     """The larger of: largest over smallest of the sums of ``|S_f|`` by axis; their total over that
     of a cube of the same volume ``(C,)``."""
     size_ratio: Floats
-    """Larger over smaller size (cube root of the volume) of the two cells of a face ``(I,)``."""
+    """Size (cube root of the volume) of the larger cell of a face divided by that of the smaller
+    ``(I,)``."""
     cell_non_orthogonality: Floats
     cell_skewness: Floats
 
@@ -54,7 +55,7 @@ def face_centres(mesh: PolygonMesh) -> tuple[Floats, Floats]:
 
 
 def quality(mesh: PolyhedralMesh) -> Quality:
-    """Measure ``mesh``; nothing is changed or left out."""
+    """Measure ``mesh`` without changing it."""
     faces, owner, count = mesh.faces, mesh.owner, mesh.cell_count
     inner = np.flatnonzero(mesh.neighbour >= 0)
     other = mesh.neighbour[inner]
@@ -170,7 +171,7 @@ def distribution(values: Floats, logarithmic: bool) -> dict[str, Any]:
 
 
 def summary(found: Quality) -> dict[str, Any]:
-    """What the manifest holds of ``found``."""
+    """The figures of ``found`` for the manifest."""
     return {
         name: distribution(getattr(found, name), name in ("volume", "face_area", "edge_length"))
         for name in (
@@ -181,7 +182,7 @@ def summary(found: Quality) -> dict[str, Any]:
 
 
 def cell_data(mesh: PolyhedralMesh, role: Ints, volume: Floats, found: Quality) -> dict[str, Any]:
-    """What files hold of each cell ``(C,)``; ``role (C,)`` is 1 at the surface, 2 inside."""
+    """Data of each cell ``(C,)`` for files; ``role (C,)`` is 1 at the surface, 2 inside."""
     return {
         "generator": mesh.cell_generator,
         "role": role,

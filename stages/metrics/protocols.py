@@ -1,4 +1,4 @@
-"""The named ways to measure: frame, number of samples and threshold of F1."""
+"""The named protocols: frame, number of samples and threshold of F1."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Protocol:
     frame: str = "bounding-box diagonal of the reference = 1"
 
     def changed(self, samples: int | None, threshold: float | None) -> dict[str, Any]:
-        """What a manifest holds of it; ``changed`` names what was asked to be otherwise."""
+        """The entry for the manifest; ``changed`` names settings that differ from the protocol."""
         given = {"samples": samples, "threshold": threshold}
         return {
             "name": self.name,

@@ -1,4 +1,4 @@
-"""Thresholds that a user sets on the figures of an evaluation: ``f1>=0.98``."""
+"""Bounds that a user sets on the figures of an evaluation: ``f1>=0.98``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WORDS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Requirement:
-    """A figure, how it is to compare, and with what."""
+    """A figure, a relation and a value."""
 
     name: str
     relation: str
@@ -30,7 +30,7 @@ class Requirement:
 
     @classmethod
     def parse(cls, text: str) -> Requirement:
-        """From ``name>=number``. Raises UsageError when it is not that."""
+        """Parse ``name>=number``. Raises UsageError if it has another form."""
         match = FORM.fullmatch(text)
         if match is None:
             raise UsageError(
@@ -47,10 +47,11 @@ class Requirement:
             ) from None
 
     def fault(self, metrics: Mapping[str, Any]) -> str | None:
-        """What is wrong with ``metrics``, in words; None when they meet it.
+        """Why ``metrics`` do not meet the bound, in words; None if they do.
 
-        The name is that of a figure, or the end of its path: ``f1`` or ``chamfer.f1``; of several
-        the one least deep is meant. Raises UsageError when no figure, or more than one, has it.
+        The name is that of a figure, or the end of its path: ``f1`` or ``chamfer.f1``. If several
+        figures have it, the least nested one is meant. Raises UsageError if no figure, or more than
+        one, has it.
         """
         figures = dict(_figures(metrics))
         ends = [path for path in figures if f".{path}".endswith(f".{self.name}")]
@@ -60,23 +61,23 @@ class Requirement:
             last = {path.rpartition(".")[2] for path in figures}
             near = difflib.get_close_matches(self.name.rpartition(".")[2], last, n=3)
             raise UsageError(
-                f"--require {self.name}: no such figure"
-                + (f"; there is {', '.join(near)}" if near else "")
+                f"--require {self.name}: no such figure; "
+                + (f"there is {', '.join(near)}" if near else "evaluate --json prints all of them")
             )
         if len(ends) > 1:
-            raise UsageError(f"--require {self.name}: say which: {', '.join(sorted(ends))}")
+            raise UsageError(f"--require {self.name}: name one of {', '.join(sorted(ends))}")
         found = figures[ends[0]]
         if found is None:
-            return f"{ends[0]} is not known, {self.relation} {self.value:g} is required"
+            return f"{ends[0]} is not known, but {self.relation} {self.value:g} is required"
         if OPERATORS[self.relation](found, self.value):
             return None
         shown = found if isinstance(found, bool) else f"{found:.6g}"
-        return f"{ends[0]} is {shown}, {self.relation} {self.value:g} is required"
+        return f"{ends[0]} is {shown}, but {self.relation} {self.value:g} is required"
 
 
 def _figures(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Paths and values of everything about the surface that can be compared with a number; what
-    is a sentence is a figure that is not known."""
+    """Paths and values of all figures of the surface that can be compared with a number. A sentence
+    stands for a figure that is not known."""
     for key, value in metrics.items():
         if key.startswith(OF_REFERENCE):
             continue

@@ -1,4 +1,4 @@
-"""Whether a written surface is closed, judged on the file as it is read back."""
+"""Check that a written surface is closed, on the file as it is read back."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def as_written(paths: dict[str, Path], certified: Topology | None = None) -> dic
             "change -n a little and run again"
         )
     if volume <= 0:
-        raise NumericalFailure("the surface faces inward: the inside and outside are swapped")
+        raise NumericalFailure(
+            "the surface faces inward, since inside and outside are swapped; please report this"
+        )
     if certified is not None and facts != certified:
         raise NumericalFailure(
             f"{paths['ply'].name} has Euler number {facts.euler_number} and {facts.components} "

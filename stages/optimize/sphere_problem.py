@@ -172,7 +172,9 @@ class SphereProblem(OnSpheres):
         self.triangles = triangles
         self.units: Floats | None = np.repeat(spheres.lengths, 4)
         if not np.isfinite(centres).all():
-            raise NumericalFailure("a surface vertex is not finite: the training diverged")
+            raise NumericalFailure(
+                "a surface vertex is not finite, since the training diverged; lower the weights"
+            )
         self.shape = []
         for way in (forward, backward):
             rows = way(surface, centres, triangles)

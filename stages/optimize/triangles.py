@@ -99,24 +99,27 @@ class Trained:
         said = []
         if self.missed and self.creases is not None:
             said.append(
-                f"{self.missed} of {len(self.creases.chains)} creases are not followed by edges: "
-                "raise -n, or lower --edge-length"
+                f"edges do not follow {self.missed} of {len(self.creases.chains)} "
+                "creases, so these are rounded: raise -n, or lower --edge-length"
             )
         if self.given_up and self.creases is not None:
             said.append(
-                f"{self.given_up} of {len(self.creases.chains)} creases are followed in part only, "
-                "where the surface conforms: raise -n, or lower --edge-length"
+                f"edges follow {self.given_up} of {len(self.creases.chains)} creases "
+                "in part only, since the rest prevented the certificate and is "
+                "rounded: raise -n, or lower --edge-length"
             )
         count = len(self.spheres.triangles)
         if self.asked and self.refinement is None and abs(count / self.asked - 1) > MISSED:
             said.append(
-                f"--faces-target {self.asked}: there are {count}; thin parts, creases and "
-                "--spacing-min and --spacing-max leave no other number"
+                f"--faces-target {self.asked}: the surface has {count} triangles, "
+                "since thin parts, creases, --spacing-min or --spacing-max allow no "
+                "other number"
             )
         if self.refinement is not None and not self.refinement["within"]:
             said.append(
-                f"--refine: up to {self.refinement['largest']:.3g} h0 are left to the shape "
-                f"after {self.refinement['rounds']} rounds: raise --faces-target or the bound"
+                f"--refine: triangles are still up to {self.refinement['largest']:.3g} "
+                f"h0 from the shape after {self.refinement['rounds']} rounds: raise "
+                "--faces-target or --refine"
             )
         return said
 
@@ -211,7 +214,10 @@ def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
     with the thickness there."""
     depth = spheres.intrusion(threads)
     if not depth.any():
-        return "none of the spheres, but a triangle has no area or lies on the wrong side"
+        return (
+            "no generator lies in the sphere of another face, but a triangle has no area "
+            "or lies on the wrong side"
+        )
     worst = distinct(spheres.centres, -depth, depth > 0)
     at = frame.input_from_model(spheres.centres[worst])
     owner = np.array([np.flatnonzero((spheres.triangles == vertex).any(axis=1))[0]
@@ -222,7 +228,10 @@ def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
         + (f", {thin:.3g} thick" if np.isfinite(thin) else "")
         for place, thin in zip(at, thick, strict=True)
     ]
-    return f"{int((depth > 0).sum())} of {len(depth)} spheres, worst at {'; '.join(named)}"
+    return (
+        f"generators of other faces lie in {int((depth > 0).sum())} of {len(depth)} "
+        f"spheres, worst at {'; '.join(named)}"
+    )
 
 
 def _too_many(error: TooManyTriangles, frame: ModelFrame, spacing: Spacing) -> str:
@@ -232,5 +241,6 @@ def _too_many(error: TooManyTriangles, frame: ModelFrame, spacing: Spacing) -> s
     )
     return (
         f"the shape needs about {error.expected:,.0f} triangles, more than --max-faces "
-        f"{spacing.most}, since it or its gaps are thin: {places}; raise --max-faces, or thicken it"
+        f"{spacing.most}, since the shape or its gaps are thin: {places}; raise "
+        "--max-faces, or make it thicker"
     )

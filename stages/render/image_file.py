@@ -55,15 +55,15 @@ def _open(path: Path) -> Picture:
     from PIL import Image
 
     if not path.is_file():
-        raise InputError(f"{path}: this picture is missing; put it back, or take its view out")
+        raise InputError(f"{path}: this picture is missing; restore it, or remove its view")
     if path.suffix.lower() in HEIF:
         try:
             # Its wheels only decode: those of pillow-heif carry an encoder under the GPL.
             import pi_heif
         except ImportError:
             raise BackendMissing(
-                f"{path}: HEIC pictures need a library that is not installed; type: "
-                "pip install 'vorolight[images]'"
+                f"{path}: HEIC pictures need a library that is not installed; run: pip "
+                "install 'vorolight[images]'"
             ) from None
         pi_heif.register_heif_opener()
     return Image.open(path)

@@ -22,21 +22,27 @@ COLUMNS = ("least", "mean", "median", "p95", "p99", "most")
 
 
 def section(metrics: Mapping[str, Any]) -> str:
-    """HTML of what stage volume measured."""
+    """HTML of the figures of stage volume."""
     quality = metrics["quality"]
     facts = [
         (
-            "boundary faces that are not the surface's as written",
+            "boundary faces that differ from the written surface",
             f"{metrics['changed_faces']} of {metrics['boundary_faces']}",
         ),
         ("cells that fail a check", str(sum(metrics["faults"].values()))),
-        ("volume of the cells over the enclosed one, less 1", f"{metrics['volume_error']:.1e}"),
+        (
+            "volume of the cells divided by the enclosed volume, minus 1",
+            f"{metrics['volume_error']:.1e}",
+        ),
         ("CVT steps", f"{metrics['cvt_iterations']}"),
         (
-            "distance from generator to centroid, over the cells' size: mean, most",
+            "distance from generator to centroid divided by the cell size: mean, largest",
             f"{metrics['centroid_distance_mean']:.4f}, {metrics['centroid_distance_max']:.4f}",
         ),
-        ("size of cells at the surface over inner ones", f"{metrics['surface_to_inner_size']:.3f}"),
+        (
+            "size of cells at the surface divided by that of inner cells",
+            f"{metrics['surface_to_inner_size']:.3f}",
+        ),
         (
             "faces whose cells differ in size by less than 2",
             f"{100 * metrics['neighbours_within_factor_2']:.1f} %",

@@ -25,7 +25,7 @@ PICTURE = 320
 
 @dataclass(frozen=True)
 class Compared:
-    """One of the runs, and what it is called on the page."""
+    """One of the runs, with its name on the page."""
 
     name: str
     folder: RunFolder
@@ -34,7 +34,7 @@ class Compared:
 
     @property
     def shape(self) -> tuple[Any, ...] | None:
-        """What tells the input from another; None where there is no classify."""
+        """What identifies the input; None if there is no classify."""
         if "classify" not in self.manifests:
             return None
         entry = self.manifests["classify"]["inputs"][0]
@@ -46,7 +46,8 @@ class Compared:
 
 
 def opened(folders: Sequence[RunFolder], stale: Sequence[Mapping[str, str]]) -> list[Compared]:
-    """The runs, with names that tell them apart. Raises ArtifactError for a folder that is none."""
+    """The runs, with names that tell them apart. Raises ArtifactError for a folder that is not a
+    run."""
     stems = [folder.path.resolve().stem for folder in folders]
     if len(set(stems)) < len(stems):
         stems = ["/".join(folder.path.resolve().parts[-2:]) for folder in folders]
@@ -61,11 +62,11 @@ def opened(folders: Sequence[RunFolder], stale: Sequence[Mapping[str, str]]) -> 
 
 
 def difference(runs: Sequence[Compared]) -> str | None:
-    """A sentence that says that the runs are not of one shape, or None."""
+    """A sentence that says that the runs are of different shapes, or None."""
     if len({run.shape for run in runs}) == 1:
         return None
     inputs = ", ".join(f"{run.name} of {run.of}" for run in runs)
-    return f"these runs are of different shapes ({inputs}): their figures say nothing together"
+    return f"these runs are of different shapes ({inputs}), so their figures cannot be compared"
 
 
 def write(runs: Sequence[Compared], target: Path) -> None:
@@ -99,7 +100,7 @@ def _write(runs: Sequence[Compared], target: Path) -> None:
 
 
 def _panels(runs: Sequence[Compared], collected: Sequence[Collected]) -> list[viewer.Panel]:
-    """The views; of what only others have each says why it is not there."""
+    """The views; each says why a surface that other runs have is missing."""
     stages = {shape.key: shape.stage for found in collected for shape in found.shapes}
     panels = []
     for run, found in zip(runs, collected, strict=True):
@@ -126,7 +127,7 @@ def _outdated(run: Compared) -> str:
 
 
 def best(values: Sequence[Any], aim: float | None) -> list[bool]:
-    """Which of ``values`` come nearest to ``aim``; none where all do, or there is one only."""
+    """Which of ``values`` are closest to ``aim``; none if all are, or if there is only one."""
     away = [None if value is None or aim is None else abs(value - aim) for value in values]
     known = [distance for distance in away if distance is not None]
     if len(known) < 2 or min(known) == max(known):
@@ -153,7 +154,7 @@ def _figures(runs: Sequence[Compared], comparable: bool) -> str:
             if all(value is None for value in values):
                 continue
             aim = next((a for m in metrics if m and (a := _aim(m, ideal)) is not None), None)
-            # Between samples less is better, whatever the sampling.
+            # For distances between samples less is better, whatever the sampling floor.
             goal = 0.0 if key == "chamfer.cd2" else aim
             marks = best(values, goal if comparable and not unlike else None)
             cells = [
@@ -201,12 +202,12 @@ def _protocols(metrics: Sequence[Mapping[str, Any] | None]) -> str:
         values = list(dict.fromkeys(m["protocol"].get(key) for m in metrics if m is not None))
         if len(values) > 1:
             said = ", ".join(shown(value) for value in values)
-            return f"These were measured with different {key} ({said}): no value is the best."
+            return f"These were measured with different {key} ({said}), so no best value is marked."
     return ""
 
 
 def _parameters(runs: Sequence[Compared]) -> str:
-    """What the runs were told differently."""
+    """Parameters that differ between the runs."""
     rows = []
     for stage in dict.fromkeys(stem for run in runs for stem in run.manifests):
         told = []
@@ -223,12 +224,15 @@ def _parameters(runs: Sequence[Compared]) -> str:
             ]
             rows.append((f"{html.escape(stage)}: {named(key)}", *cells))
     if not rows:
-        return "<h2>Parameters</h2><p>All parameters of what both have run are the same.</p>"
+        return (
+            "<h2>Parameters</h2><p>All parameters of the stages that all runs have are the "
+            "same.</p>"
+        )
     return f"<h2>Parameters that differ</h2>{table(_head(runs), rows, 'numbers')}"
 
 
 def _timings(runs: Sequence[Compared]) -> str:
-    """Seconds and peak memory, stage by stage."""
+    """Time in seconds and peak memory of each stage."""
     stems = [name for name in STAGES if any(name in run.manifests for run in runs)]
     stems += sorted({s for run in runs for s in run.manifests if s.startswith("evaluate-")})
     rows = []

@@ -1,4 +1,4 @@
-"""Curves and histograms as SVG: they scale, print, and take their colours from the page's style."""
+"""Curves and histograms as SVG, which scale, print, and use the colours of the page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TERMS = {
     "volume": ("centroid",),
     "shade": ("colour",),
 }
-"""What the columns of each stage's history are."""
+"""Names of the columns of each stage's history."""
 TITLES = {"init": "Initial surface", "sphere-train": "Training of the spheres",
           "volume": "Evening out of the cells", "shade": "Appearance"}  # fmt: skip
 LEAST = 1e-12
@@ -96,7 +96,7 @@ def histogram(title: str, edges: Sequence[float], counts: Sequence[float], more:
 
 
 def distributions(shapes: Sequence[Shape]) -> str:
-    """HTML of histograms of what colours the surfaces; the input's and the cut are left out."""
+    """HTML of histograms of the values that colour the surfaces, without the input and the cut."""
     groups = []
     for mode, (title, unit) in MODES.items():
         figures = []
@@ -109,7 +109,7 @@ def distributions(shapes: Sequence[Shape]) -> str:
         known = [(shape, values) for shape, values in known if len(values)]
         if not known:
             continue
-        # One range for all: surfaces are to be compared.
+        # One range for all surfaces, so that they can be compared.
         low = min(float(np.percentile(values, 0.5)) for _, values in known)
         high = max(float(np.percentile(values, 99)) for _, values in known)
         if not high > low:

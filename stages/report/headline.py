@@ -1,4 +1,4 @@
-"""The top of the report: the few figures that matter most, and what is not done."""
+"""The top of the report: the most important figures, and the stages that are not done."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from ..artifacts.manifest import Manifest
 from .tables import number
 
 MEASURED = ("sphere-train", "volume", "init")
-"""Whose evaluation the figures at the top are from: the first of these that is there."""
+"""The evaluation at the top is that of the first of these that exists."""
 COMMANDS = {"classify": "classify INPUT -n 25", "fabricate": "fabricate --lamp"}
 
 
 def cards(manifests: Mapping[str, Manifest]) -> str:
-    """HTML of the headline figures, each with what it is to be compared with."""
+    """HTML of the headline figures, each with a value to compare with."""
     items = [_faces(manifests), _certificate(manifests), *_measured(manifests)]
     items.append(_printable(manifests))
     return '<div class="cards">' + "".join(_card(*item) for item in items) + "</div>"
 
 
 Item = tuple[str, str, str, str]
-"""Title, figure, what stands under it, and a class: good, bad, doubt or none."""
+"""Title, figure, text below it, and a class: good, bad, doubt or none."""
 
 
 def _card(title: str, figure: str, under: str, kind: str) -> str:
@@ -94,7 +94,7 @@ def _printable(manifests: Mapping[str, Manifest]) -> Item:
 
 
 def not_done(manifests: Mapping[str, Manifest]) -> str:
-    """HTML that says which stages are not there, and what makes them."""
+    """HTML of the stages that are missing, with the commands that run them."""
     wanted = ["classify", "init", "sphere-train", "volume"]
     kind = manifests["classify"]["inputs"][0]["kind"] if "classify" in manifests else ""
     wanted += ["shade"] if kind == "views" else []
@@ -112,7 +112,7 @@ def not_done(manifests: Mapping[str, Manifest]) -> str:
 
 
 def outdated(stale: Mapping[str, str]) -> str:
-    """HTML of which stages are out of date, and why."""
+    """HTML of the stages that are stale, and why."""
     return "".join(
         f'<p class="warn"><b>{html.escape(stage)} is out of date</b>: {html.escape(reason)}</p>'
         for stage, reason in stale.items()
@@ -120,7 +120,7 @@ def outdated(stale: Mapping[str, str]) -> str:
 
 
 def warnings(manifests: Mapping[str, Manifest]) -> str:
-    """HTML of what the stages warned of."""
+    """HTML of the warnings of the stages."""
     lines = "".join(
         f'<p class="warn">{html.escape(stage)}: {html.escape(text)}</p>'
         for stage, manifest in manifests.items()
@@ -130,7 +130,7 @@ def warnings(manifests: Mapping[str, Manifest]) -> str:
 
 
 def heading(manifests: Mapping[str, Manifest]) -> str:
-    """HTML of what the run is of."""
+    """HTML of the input of the run."""
     any_one: dict[str, Any] = next(iter(manifests.values()))
     version = html.escape(any_one["tool_version"])
     if "classify" not in manifests:

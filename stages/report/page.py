@@ -1,4 +1,4 @@
-"""report.html: one page of what was measured, from whatever stages exist."""
+"""report.html: one page with the figures and pictures of all finished stages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STAGES = ("classify", "init", "sphere-train", "volume", "shade", "baseline", "fa
 CAPTIONS = {
     "surfaces": "Initial Voronoi surface, trained polygons, and the surface as written: the "
     "interface of the real Voronoi diagram.",
-    "appearance": "The appearance that was learned, from new sides.",
+    "appearance": "The appearance that was learned, from new directions.",
     "cutaway": "The volumetric mesh cut open; inner cells in orange.",
     "lamp": "The object as it will be printed, lit and by day. Without --render the light casts no "
     "shadows.",
@@ -45,9 +45,8 @@ def manifests_of(folder: RunFolder) -> dict[str, Manifest]:
 def write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None = None) -> Path:
     """Write ``report.html`` into the run folder, and the pictures to ``pictures`` if given.
 
-    ``stale`` says of stages that are done why they are out of date.
-
-    Raises ArtifactError when no stage is done, or the file of one is missing or damaged.
+    ``stale`` gives the reasons of stages that are out of date. Raises ArtifactError if no stage is
+    done, or if a file is missing or damaged.
     """
     with foreign(str(folder.path)):
         return _write(folder, stale, pictures)
@@ -73,7 +72,7 @@ def _write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None) -
         curves.distributions(collected.shapes),
         curves.losses(folder),
     ]
-    # A volume from before there were these figures is stale, and said to be.
+    # A volume from before these figures existed is stale, and reported as such.
     if "volume" in manifests and "quality" in manifests["volume"]["metrics"]:
         body.append(cells.section(manifests["volume"]["metrics"]))
     if "fabricate" in manifests and "printability" in manifests["fabricate"]["metrics"]:
@@ -87,7 +86,7 @@ def _write(folder: RunFolder, stale: Mapping[str, str], pictures: Path | None) -
 
 
 def document(title: str, body: Sequence[str]) -> str:
-    """The whole page: it loads nothing, and no script runs in it but the view's own."""
+    """The whole page. It loads nothing, and runs no script but that of the viewer."""
     policy = (
         "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
         f"script-src {viewer.script_hash()}"
@@ -116,7 +115,7 @@ def _pictures(folder: RunFolder, target: Path | None) -> list[str]:
 
 
 def picture(name: str, data: bytes, caption: str) -> str:
-    """HTML of a PNG with what it shows."""
+    """HTML of a PNG with its caption."""
     return (
         f'<figure><img alt="{html.escape(name)}" src="data:image/png;base64,'
         f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(caption)}</figcaption>'
@@ -125,7 +124,7 @@ def picture(name: str, data: bytes, caption: str) -> str:
 
 
 def timings(manifests: Mapping[str, Manifest]) -> str:
-    """HTML of what the stages took."""
+    """HTML of the time and memory of the stages."""
     rows = []
     for name, manifest in manifests.items():
         volatile = manifest["volatile"]
@@ -143,7 +142,7 @@ def timings(manifests: Mapping[str, Manifest]) -> str:
 
 
 def told_to(manifest: Manifest) -> dict[str, Any]:
-    """All that a stage was told, and decides on its result."""
+    """Everything a stage was given that decides its result."""
     params: dict[str, Any] = manifest["params"]
     return params | {key: manifest[key] for key in ("seed", "device", "backend")}
 

@@ -85,19 +85,18 @@ def printed(folder: RunFolder) -> tuple[Floats, Ints]:
 
 
 def _picture(folder: RunFolder, stage: str, role: str) -> NDArray[np.uint8]:
-    """A picture that a stage wrote, if it still is that one."""
+    """A picture that a stage wrote, if it was not changed since."""
     folder.output(stage, role)
     return image_file.read(folder.file(stage, role))
 
 
 def lamp(folder: RunFolder, size: int = 640) -> Floats | None:
-    """The printable object: by night with its light on, path traced if that was asked for, and by
-    day."""
+    """The printable object: at night with its light on, path traced if asked for, and by day."""
     stored = folder.manifest("fabricate")
     if stored is None:
         return None
     vertices, triangles = printed(folder)
-    # As the path tracer looks at it; whatever was up in the input is z by now.
+    # As the path tracer sees it; whatever was up in the input is z here.
     view = raster.view("z", lit.AZIMUTH, lit.ELEVATION)
     day = raster.shaded(vertices, triangles, None, PRINT, view, size, size)
     if any(entry["role"] == "png" for entry in stored["outputs"]):

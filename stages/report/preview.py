@@ -1,4 +1,4 @@
-"""What was understood of an input: its surface, its interior voxels, and a cut through them."""
+"""The preview of an input: its surface, its interior voxels, and a slice through them."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ FOUND, WRONG, VOXEL, BAND = (
 )
 OUTLINE = np.array([0.10, 0.62, 0.32])
 DOTS = 30_000
-"""Points of a cloud that are drawn, and samples of a field."""
+"""Number of points of a cloud that are drawn, and of samples of a field."""
 
 
 def write(folder: RunFolder, source: Source) -> Path:
-    """The picture beside the manifest of stage classify; its path."""
+    """Draw the picture next to the manifest of stage classify, and return its path."""
     path = folder.file("classify", "png")
     atomic.write(path, image_file.png(preview(source, folder.arrays("classify", "classify"))))
     return path

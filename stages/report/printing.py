@@ -1,4 +1,4 @@
-"""The report on how the object prints: a verdict each, and pictures of the worst spots."""
+"""The report on printability: a verdict for each check, and pictures of the worst places."""
 
 from __future__ import annotations
 
@@ -57,19 +57,19 @@ def section(folder: RunFolder, metrics: Mapping[str, Any]) -> str:
 
 
 def _said(verdict: str) -> str:
-    """A verdict in bold and, if it is one of ours, in its colour."""
+    """A verdict in bold, and in its colour if it is a known one."""
     colour = {"ok": "good", "warn": "doubt", "fail": "bad"}.get(verdict, "")
     return f'<b class="{colour}">{html.escape(verdict)}</b>'
 
 
 def close_up(vertices: Floats, triangles: Ints, spot: Floats, below: bool) -> Floats:
-    """What is within WINDOW of ``spot``, seen from outside the object, with the spot in red."""
+    """The part within WINDOW of ``spot``, seen from outside the object, with the spot in red."""
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     away = spot - middle
     azimuth = float(np.degrees(np.arctan2(away[1], away[0])))
     centres = vertices[triangles].mean(axis=1)
     away_by = np.abs(centres - spot).max(axis=1)
-    # Where triangles are large, none may have its centre so near.
+    # If triangles are large, none may have its centre that close.
     near = triangles[away_by < max(WINDOW, 1.5 * float(away_by.min()))]
     distance = np.linalg.norm(vertices[near].mean(axis=1) - spot, axis=1)
     colours = np.where((distance < max(RADIUS, float(distance.min()) + 0.5))[:, None], SPOT, PRINT)

@@ -1,4 +1,4 @@
-"""The report's sections on how good the surfaces are: evaluations, conformity, gates."""
+"""Sections of the report on the quality of surfaces: evaluations, conformity, gates."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ FIGURES = (
     ("topology.bad_edges", "edges not in two faces", 0, 1),
     ("topology.pinched_vertices", "pinched vertices", 0, 1),
 )  # fmt: skip
-"""Key in an evaluation, its name, its ideal (a number, or the key of the reference's own), and the
-factor it is shown with."""
+"""Key in an evaluation, its name, its ideal (a number, or the key of the reference's value), and
+the factor with which it is shown."""
 CONDITIONS = {
     "incident": ("every generator lies on the spheres of its face's corners",
                  "incident_power", f"at most {TAU:g} h²"),
@@ -51,11 +51,11 @@ CONDITIONS = {
     "orientation": ("normals point from the inside to the outside generator", "turned_faces", "0"),
     "winding": ("the surface winds once around every inside generator", "wound_wrongly", "0"),
 }  # fmt: skip
-"""The conditions of the certificate: what each says, what was found, what it has to be."""
+"""The conditions of the certificate: their meaning, the value found, and the value required."""
 
 
 def value_of(metrics: Mapping[str, Any], key: str) -> Any:
-    """The figure at a dotted key, None where there is none."""
+    """The figure at a dotted key, None if it is missing."""
     found: Any = metrics
     for part in key.split("."):
         if not isinstance(found, Mapping) or found.get(part) is None:
@@ -84,8 +84,9 @@ def evaluations(found: Evaluations) -> str:
     first = next(iter(found.values()))["metrics"]["protocol"]
     head = ("", *(html.escape(stem.removeprefix("evaluate-")) for stem in found), "ideal")
     about = (
-        f"{first['samples']:,} samples on each surface; {first['frame']}. The ideal of CD² between "
-        "samples is what two samplings of one surface give; of curvature it is the reference's own."
+        f"{first['samples']:,} samples on each surface; {first['frame']}. Ideal values: for "
+        "CD² between samples, what two samplings of one surface give; for curvature, that "
+        "of the reference."
     )
     details = "".join(
         f"<details><summary>All figures of {html.escape(stem)}</summary>"
@@ -106,7 +107,7 @@ def scaled(value: Any, factor: float) -> str:
 
 
 def conformity(manifests: Mapping[str, Manifest]) -> str:
-    """HTML of the certificate's conditions, as far as possible of the files as re-read."""
+    """HTML of the certificate's conditions, from the files as re-read if possible."""
     source = next(
         (stem for stem in ("evaluate-sphere-train", "evaluate-volume", "sphere-train")
          if (manifests.get(stem) or {"metrics": {}})["metrics"].get("certificate")), None
@@ -136,7 +137,7 @@ def conformity(manifests: Mapping[str, Manifest]) -> str:
 
 
 def gates(found: Evaluations) -> str:
-    """HTML of what a surface must be, for each evaluation."""
+    """HTML of the gates of each evaluation."""
     keys = list(dict.fromkeys(key for m in found.values() for key in m["metrics"]["gates"]))
     if not keys:
         return ""

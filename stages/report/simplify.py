@@ -1,4 +1,4 @@
-"""Fewer triangles for the eye: what is drawn of objects too large for a page."""
+"""Simplify surfaces that are too large for a page."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import numpy as np
 from ..surface.polygons import Floats, Ints, PolygonMesh
 
 TRIANGLES = 200_000
-"""What a page draws of one surface at the most; a browser without a graphics card manages that."""
+"""Largest number of triangles of a surface on a page, which a browser without a graphics card can
+draw."""
 
 
 def simplified(vertices: Floats, triangles: Ints, tolerance: float) -> tuple[Floats, Ints, float]:
@@ -33,8 +34,8 @@ def simplified(vertices: Floats, triangles: Ints, tolerance: float) -> tuple[Flo
 
 
 def clustered(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints, float]:
-    """Any triangles, those of one cell of a grid drawn together until there are few enough; the
-    edge of the cells."""
+    """Cluster the vertices of any triangles on a grid until there are few enough; returns the edge
+    of its cells too."""
     low, extent = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
     cells = 1024
     while True:

@@ -1,4 +1,4 @@
-"""What there is to see of a run: its surfaces, and the values that colour them."""
+"""The surfaces of a run, and the values that colour them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .simplify import TRIANGLES, clustered, simplified, thinned, voxel_surface
 
 INPUT = np.array([0.80, 0.78, 0.72])
 POINTS = 60_000
-"""How many points of a cloud are drawn."""
+"""Number of points of a cloud that are drawn."""
 MODES = {
     "error": ("Distance to the reference", "with its bounding-box diagonal as 1"),
     "curvature": ("Mean curvature |H|", "1 / unit of the input"),
     "residual": ("Sphere residual of the face", "h²"),
     "size": ("Face area", "h²"),
 }
-"""Name and unit of what can colour a surface; h is the edge of a voxel."""
+"""Name and unit of the values that can colour a surface; h is the edge of a voxel."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ class Shape:
     """Faces in the second colour."""
     fields: dict[str, Values] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
-    """Why a colouring is not there."""
+    """Why a colouring is missing."""
     note: str = ""
     edges: bool = True
 
 
 @dataclass
 class Collected:
-    """The shapes of a run, in the order of its stages, and what could not be shown."""
+    """The shapes of a run, in the order of its stages, and those that could not be shown."""
 
     shapes: list[Shape]
     left_out: list[str]
@@ -71,7 +71,7 @@ class Collected:
 def collect(folder: RunFolder) -> Collected:
     """Everything of a run that can be drawn.
 
-    Raises ArtifactError when the file of a finished stage is missing or damaged.
+    Raises ArtifactError if a file of a finished stage is missing or damaged.
     """
     found = Collected([], [])
     first = folder.manifest("classify")
@@ -96,7 +96,7 @@ def collect(folder: RunFolder) -> Collected:
 def _inputs(
     folder: RunFolder, manifest: Manifest, grid: Arrays, left_out: list[str]
 ) -> Iterator[Shape]:
-    """The input as found, and the surface that classify made of it."""
+    """The input, and the surface that classify made of it."""
     entry = manifest["inputs"][0]
     try:
         if entry["kind"] == "mesh":
@@ -115,7 +115,7 @@ def _inputs(
 
 
 def _same(folder: RunFolder, entry: dict[str, Any]) -> Path:
-    """The input's file. Raises InputError unless it is the one that the run was made from."""
+    """The input's file. Raises InputError unless it is unchanged since the run."""
     path: Path = folder.path / entry["path"]
     if not path.exists():
         raise InputError(f"{path.name} is not where it was")
@@ -138,12 +138,12 @@ def _cloud(path: Path, columns: str | None) -> Shape:
     note = (
         "" if len(shown) == len(points) else f"{len(shown):,} of {len(points):,} points are drawn."
     )
-    # Darker than faces: single dots have to be seen on a light page and on a dark one.
+    # Darker than faces, so that single dots are visible on a light page and on a dark one.
     return Shape("input", "Input points", "input", None, shown, INPUT * 0.7, note=note)
 
 
 def _fewer(shape: Shape) -> Shape:
-    """``shape`` with no more triangles than a page can hold."""
+    """``shape`` with at most as many triangles as a page can draw."""
     from ..surface.geometry import fan_triangles
 
     mesh = shape.mesh
@@ -190,7 +190,7 @@ def _stages(folder: RunFolder) -> Iterator[Shape]:
 
 
 def _object(folder: RunFolder) -> Iterator[Shape]:
-    """What fabricate wrote, back in the input's coordinates."""
+    """The object of stage fabricate, in the coordinates of the input."""
     if folder.manifest("fabricate") is None:
         return
     vertices, triangles = printed(folder)
@@ -211,7 +211,7 @@ def _object(folder: RunFolder) -> Iterator[Shape]:
 
 
 def _colourings(folder: RunFolder, shape: Shape, spacing: float | None) -> None:
-    """Add whatever can colour the surface, and why the rest cannot."""
+    """Add the values that can colour the surface, and the reasons why others cannot."""
     mesh = shape.mesh
     assert mesh is not None
     if spacing is not None:

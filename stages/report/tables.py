@@ -1,4 +1,4 @@
-"""Tables of figures, and how numbers and names are written."""
+"""Tables of figures, and the format of numbers and names."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ WORDS = {
     "surface_cd2": "CD² from samples to the surface",
     "to_reference_cd2": "CD² to the reference",
 }
-"""Names that say more than the manifest's, which otherwise lose their underscores."""
+"""Names that are clearer than the manifest's; all others only lose their underscores."""
 LISTED = 8
-"""Lists longer than this are counted, not written out."""
+"""Longer lists are counted, not written out."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number to read: thousands apart, powers of ten raised."""
+    """A number with separated thousands and raised powers of ten."""
     if isinstance(value, int):
         return f"{value:,}"
     text = f"{value:.{digits}g}"
@@ -63,7 +63,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def shown(value: Any, absent: str = "–") -> str:
-    """A value of a manifest in words; what is not there is ``absent``."""
+    """A value of a manifest in words; ``absent`` stands for a missing one."""
     if value is None:
         return absent
     if isinstance(value, bool):
@@ -80,7 +80,7 @@ def shown(value: Any, absent: str = "–") -> str:
 
 
 def name(key: str) -> str:
-    """The words for a key, dotted where it is inside others."""
+    """The words for a key, dotted if it is inside others."""
     return ", ".join(WORDS.get(part, part.replace("_", " ")) for part in key.split("."))
 
 

@@ -22,18 +22,18 @@ STOPS = (
     (68, 1, 84), (72, 40, 120), (62, 73, 137), (49, 104, 142), (38, 130, 142), (31, 158, 137),
     (53, 183, 121), (110, 206, 88), (181, 222, 43), (253, 231, 37),
 )  # fmt: skip
-"""The colour map viridis at ten even steps: even to the eye, and told apart by the colour-blind."""
+"""The colour map viridis at ten even steps; people with colour blindness can read it."""
 ROBUST = (2.0, 98.0)
-"""Percentiles between which the colours run: a few bad spots do not hide the rest."""
+"""Percentiles between which the colours run, so that a few bad places do not hide the rest."""
 PREFERRED = ("sphere-train", "trained", "init", "source", "input", "voxels")
-"""What is shown first: the first of these that is there."""
+"""The first of these surfaces that exists is shown first."""
 TURN = {"y": 60.0, "z": -60.0}
 RISE = 18.0
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One of the pictures side by side: what it is called, what it shows, what it has not."""
+    """One of the views side by side: its name, its surfaces, and the missing ones."""
 
     name: str
     shapes: Sequence[Shape]
@@ -46,7 +46,7 @@ def asset(name: str) -> str:
 
 
 def script_hash() -> str:
-    """What the page's security policy calls the one script that may run."""
+    """The hash of the only script that the page's security policy allows."""
     digest = hashlib.sha256(_script().encode()).digest()
     return f"'sha256-{base64.b64encode(digest).decode()}'"
 
@@ -108,8 +108,8 @@ def section(panels: Sequence[Panel], ups: Sequence[str], same_frame: bool, headi
 
 
 def _frame(shapes: Sequence[Shape]) -> tuple[Floats, float]:
-    """Centre and radius of a ball around the shapes; points may lie far out, and do not count if
-    there is anything else."""
+    """Centre and radius of a ball around the shapes; outlying points count only if there is nothing
+    else."""
     solid = [shape.mesh.vertices for shape in shapes if shape.mesh is not None]
     every = solid or [shape.points for shape in shapes if shape.points is not None]
     if not every:
@@ -136,7 +136,7 @@ def packed(shape: Shape) -> tuple[dict[str, Any], str]:
         narrow = mesh.vertex_count <= 1 << 16
         arrays["corners"] = mesh.face_vertices.astype("<u2" if narrow else "<u4")
         if (mesh.valences != 3).any():
-            # A face of more than 255 corners would be no cell's wall; 16 bits are plenty.
+            # A face of more than 255 corners cannot be a cell's face, so 16 bits are enough.
             arrays["valences"] = mesh.valences.astype("<u2")
     if shape.tint is not None:
         arrays["tint"] = shape.tint.astype("u1")
@@ -174,14 +174,14 @@ def _bytes(colour: Floats) -> list[int]:
 
 
 def _json(value: Any) -> str:
-    """JSON that no text in it can leave: ``<`` would end the script it stands in."""
+    """JSON that cannot end its script element: ``<`` is escaped."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _controls(panels: Sequence[Panel], first: str) -> str:
     titles = {shape.key: shape.title for panel in panels for shape in panel.shapes}
-    # In the order of the stages also where one panel lacks some of them.
+    # In the order of the stages, also if a view lacks some of them.
     longest = max(panels, key=lambda panel: len(panel.shapes))
     order = [shape.key for shape in longest.shapes]
     order += [key for key in titles if key not in order]

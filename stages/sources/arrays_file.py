@@ -54,7 +54,7 @@ def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(_opened(path)) as archive:
             size = sum(item.file_size for item in archive.infolist())
         if size > 8 * LARGEST + 100_000:
-            raise ValueError(f"{size / 1e9:.1f} GB of numbers; thin them")
+            raise ValueError(f"{size / 1e9:.1f} GB of numbers are too many; reduce them")
         with _unwarned(), np.load(_opened(path), allow_pickle=False) as found:
             arrays = {name: found[name] for name in found.files}
     except DAMAGED as error:
@@ -92,6 +92,6 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 
 def _check(path: Path, values: NDArray[Any]) -> None:
     if values.dtype.kind not in "fiub":
-        raise InputError(f"{path}: holds {values.dtype}, not numbers")
+        raise InputError(f"{path}: has values of type {values.dtype}, not numbers")
     if values.size > LARGEST:
-        raise InputError(f"{path}: {values.size} numbers are more than {LARGEST}; thin them")
+        raise InputError(f"{path}: {values.size} numbers are more than {LARGEST}; reduce them")

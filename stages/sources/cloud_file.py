@@ -64,7 +64,9 @@ def load(path: Path, columns: str | None = None) -> LoadedCloud:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
     except (ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: not a readable point cloud ({reason[:120]})") from error
+        raise InputError(
+            f"{path}: not a readable point cloud ({reason[:120]}); export the points again"
+        ) from error
     points, normals = table.points, table.normals
     count = len(points)
     # The squares of what is larger are not finite.
@@ -76,14 +78,14 @@ def load(path: Path, columns: str | None = None) -> LoadedCloud:
         kept = np.sort(np.random.default_rng(0).choice(kept, MOST, replace=False))
     if len(kept) < FEWEST:
         raise InputError(
-            f"{path}: holds {len(kept)} different points; a surface needs {FEWEST} at the least"
+            f"{path}: has {len(kept)} different points, but a surface needs at least {FEWEST}"
         )
     points = np.ascontiguousarray(points[kept])
     centred = points - points.mean(axis=0)
     centred /= np.abs(centred).max()
     extent = np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0)
     if extent.min() < FLAT * extent.max():
-        raise InputError(f"{path}: the points lie in one plane and enclose nothing")
+        raise InputError(f"{path}: the points lie in one plane, so they enclose nothing")
     if normals is not None:
         normals = np.nan_to_num(normals[kept], posinf=0.0, neginf=0.0)
     left_out = count - int(finite.sum())
@@ -96,11 +98,13 @@ def _read(path: Path, columns: str | None) -> Table:
         raw = packed.content(path)
         return Table(*_expe(raw)) if raw.startswith(EXPE) else text_table.read(raw, columns)
     if columns is not None:
-        raise ValueError(f"--columns is of text files ({', '.join(TEXT)})")
+        raise ValueError(f"--columns applies to text files only ({', '.join(TEXT)})")
     if suffix == ".npz":
         arrays = named_arrays(path)
         if "points" not in arrays:
-            raise InputError(f"{path}: has no array called 'points'; save the points so")
+            raise InputError(
+                f"{path}: has no array called 'points'; save the points under this name"
+            )
         return _split(_numbers(arrays["points"]), arrays.get("normals"))
     if suffix == ".npy":
         return _split(_numbers(single_array(path)), None)
@@ -118,14 +122,14 @@ def _read(path: Path, columns: str | None) -> Table:
 
 def _numbers(values: NDArray[Any]) -> Floats:
     if values.dtype.kind not in "fiu":
-        raise ValueError(f"it holds {values.dtype}, not numbers")
+        raise ValueError(f"it has values of type {values.dtype}, not numbers")
     return np.asarray(values, dtype=np.float64)
 
 
 def _split(table: Floats, normals: Any) -> Table:
     """Points, and normals if the rows of ``table (N, >= 3)`` have unit vectors after them."""
     if table.ndim != 2 or table.shape[1] < 3:
-        raise ValueError(f"it holds numbers of shape {table.shape}, not rows of x, y, z")
+        raise ValueError(f"it has numbers of shape {table.shape}, not rows of x, y, z")
     if normals is not None:
         normals = _numbers(normals)
         if normals.shape != (len(table), 3):

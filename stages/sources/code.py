@@ -36,7 +36,9 @@ def file_of(text: str, flag: str = "--field") -> Path:
         spec = PathFinder.find_spec(part, places) if places else None
         places = spec.submodule_search_locations if spec else None
     if spec is None or spec.origin is None:
-        raise InputError(f"{flag} {text}: no module {module} here or where Python looks")
+        raise InputError(
+            f"{flag} {text}: there is no module {module} in this folder or on Python's path"
+        )
     return Path(spec.origin)
 
 
@@ -58,7 +60,7 @@ class CodeField:
                 f"{str(error)[:100]}); it is called with x, y, z and numpy or torch"
             ) from error
         if getattr(value, "shape", None) != x.shape:
-            raise InputError(f"--field {self.name}: returns no number for each point")
+            raise InputError(f"--field {self.name}: does not return a number for each point")
         return value
 
 

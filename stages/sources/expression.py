@@ -53,7 +53,7 @@ def parse(text: str) -> Formula:
         reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
         raise InputError(f"{_short(text)}: is not a formula ({reason})") from error
     if not any(isinstance(node, ast.Name) and node.id in "xyz" for node in _walk(tree, text)):
-        raise InputError(f"{_short(text)}: has none of x, y and z in it")
+        raise InputError(f"{_short(text)}: contains none of x, y and z")
     value = _Compiler(text).compile(tree)
 
     def formula(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
@@ -84,7 +84,7 @@ def _walk(tree: ast.AST, text: str) -> list[ast.AST]:
         level = [child for node in level for child in ast.iter_child_nodes(node)]
         if not level:
             return found
-    raise InputError(f"{_short(text)}: is nested deeper than {DEPTH} levels; split it less")
+    raise InputError(f"{_short(text)}: is nested deeper than {DEPTH} levels; simplify it")
 
 
 class _Compiler:
@@ -202,8 +202,9 @@ def search_box(value: Callable[[Floats], Floats], text: str) -> Floats:
     box = found if tight is None else tight.box
     if not np.isfinite(value(_grid(box))).all():
         raise InputError(
-            f"{_short(text)}: is not a finite number everywhere in the box of the shape; "
-            "keep arguments of sqrt and log positive, and divisors from zero"
+            f"{_short(text)}: is not a finite number everywhere in the box of the "
+            "shape; keep arguments of sqrt and log positive, and divisors away from "
+            "zero"
         )
     return box
 

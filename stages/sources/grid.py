@@ -131,8 +131,8 @@ def load(path: Path, above: float | None = None) -> SampledField:
     values = found.values
     if values.ndim != 3 or min(values.shape) < 4:
         raise InputError(
-            f"{path}: holds samples of shape {values.shape}; a field needs three dimensions of at "
-            "least four samples"
+            f"{path}: has samples of shape {values.shape}, but a field needs three "
+            "dimensions of at least four samples"
         )
     values = np.asarray(values, dtype=np.float64)
     if not np.isfinite(values).all():
@@ -167,8 +167,8 @@ def load(path: Path, above: float | None = None) -> SampledField:
             values[beyond] = factor * np.abs(values[beyond])
     elif _fills(values[1:-1, 1:-1, 1:-1] < 0):
         notes.append(
-            "the inside fills the grid up to its border, as the air around a body does; if what is "
-            f"above a value is the inside, {middle}"
+            "the inside fills the grid up to its border, so it may be the air around "
+            f"a body; if the body is what lies above a value, {middle}"
         )
     if label:
         notes.append("the samples are labels: a smooth surface between them stands for the shape")

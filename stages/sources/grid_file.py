@@ -64,7 +64,7 @@ def _nrrd_error() -> type[Exception]:
 def _npz(path: Path) -> Samples:
     found = named_arrays(path)
     if "values" not in found:
-        raise InputError(f"{path}: has no array called 'values'; save the samples so")
+        raise InputError(f"{path}: has no array called 'values'; save the samples under this name")
     origin = np.asarray(found.get("origin", np.zeros(3)), dtype=np.float64)
     spacing = np.asarray(found.get("spacing", np.ones(3)), dtype=np.float64)
     if origin.shape != (3,) or spacing.shape not in ((), (1,), (3,)):

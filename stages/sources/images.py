@@ -191,8 +191,8 @@ class ViewSource(TriangleSource):
             worst = bad[np.argsort(agreement[bad], kind="stable")][:NAMED]
             named = ", ".join(f"{self.names[v]} ({agreement[v]:.2f})" for v in worst)
             said.append(
-                f"{len(bad)} of {len(self.names)} masks do not fit the surface, the worst are "
-                f"{named}: check them, or use --mask-votes"
+                f"{len(bad)} of {len(self.names)} masks do not fit the surface; the "
+                f"worst are {named}: check them, or raise --mask-votes"
             )
         if self.views.normals is None:
             said.append("there are no normal maps: hollows that no silhouette shows are filled in")

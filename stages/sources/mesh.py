@@ -275,10 +275,11 @@ class MeshSource(TriangleSource):
         count = len(edges(self.welded)) if self.open_edges else 0
         if self.open_edges > SOUP * count and self.sureness < SURE:
             raise InputError(
-                f"{self.path}: {self.open_edges} of its {count} edges are not in two faces, and "
-                f"what is inside is beyond doubt in {100 * self.sureness:.0f} % only, so it is no "
-                "surface of a solid; join its vertices with --weld DISTANCE, take them as points "
-                "with --kind points, or go on with --allow-poor-input"
+                f"{self.path}: {self.open_edges} of {count} edges are not in two "
+                f"faces, and the inside is certain in {100 * self.sureness:.0f} % of "
+                "it only, so the mesh is not the surface of a solid; weld its "
+                "vertices with --weld DISTANCE, use them as points with --kind "
+                "points, or continue with --allow-poor-input"
             )
 
     def describe(self) -> dict[str, Any]:
@@ -321,14 +322,17 @@ class MeshSource(TriangleSource):
         if self.repair:
             before, after = self.loaded.polygons, self._sound
             said.append(
-                f"repaired: {before.face_count} faces with {len(bad_edges(welded(before)))} bad "
-                f"edges are now {after.face_count} with {len(bad_edges(welded(after)))}"
+                f"the mesh was repaired: of {before.face_count} faces and "
+                f"{len(bad_edges(welded(before)))} edges not in two faces, "
+                f"{after.face_count} faces and {len(bad_edges(welded(after)))} such "
+                "edges are left"
             )
         if self.thickness:
             edges_found = len(bad_edges(welded(self._sound)))
             said.append(
-                f"the mesh ({edges_found} bad edges) is taken as a sheet {self.thickness:g} thick; "
-                "close it, or use --repair or --thickness"
+                f"the mesh ({edges_found} edges are not in two faces) is made a sheet "
+                f"{self.thickness:g} thick; for a solid, close it or use --repair; "
+                "--thickness sets the thickness"
             )
         return said + self.taken() + self._open_warnings()
 
@@ -338,40 +342,40 @@ class MeshSource(TriangleSource):
         if self.parted is not None:
             said.append(
                 f"parts of the mesh touch each other: {self.parted[1]} of its "
-                f"{len(self.joined.face_offsets) - 1} faces are left out, which are there twice or "
-                "lie between two parts; edges of more than two faces are taken apart"
+                f"{len(self.joined.face_offsets) - 1} faces, which are doubled or lie "
+                "between two parts, are left out, and edges of more than two faces "
+                "are split"
             )
         if self.capped is not None:
             openings = self.capped[1]
             said.append(
-                f"the mesh has {openings} opening{'s' if openings > 1 else ''} with a flat edge: "
-                "flat caps are taken to close the surface there"
+                f"the mesh has {openings} opening{'s' if openings > 1 else ''} with a "
+                "flat edge: flat caps close the surface there"
             )
         if self.unwalled is not None:
             said.append(
-                f"{self.unwalled[1]} faces of the mesh are walls between chambers inside: they are "
-                "left out, and what is around them is solid"
+                f"{self.unwalled[1]} faces of the mesh are walls between chambers "
+                "inside: they are left out, and the space around them is solid"
             )
         if self.united is not None and self.united.crossing:
             said.append(
-                f"{self.united.crossing} closed parts of the mesh cross each other: the surface of "
-                "their union is taken"
+                f"{self.united.crossing} closed parts of the mesh cross each other: they are united"
             )
         if self.united is not None and self.united.folded:
             said.append(
-                f"closed parts of the mesh that cross themselves: {self.united.folded}; the "
-                "surface of what they enclose is taken"
+                "closed parts of the mesh that cross themselves: "
+                f"{self.united.folded}; they become the solid that they enclose"
             )
         if self.united is not None and self.united.buried:
             taken = (
-                "each second one is taken as a hollow"
+                "every second one becomes a hollow"
                 if self.hollow
-                else "what lies within a solid is left out; --shells alternate takes each second "
-                "one as a hollow"
+                else "those within a solid are left out; --shells alternate makes hollows of "
+                "every second one"
             )
             said.append(
-                f"closed parts of the mesh that lie within others and face the same way: "
-                f"{self.united.buried}; {taken}"
+                "closed parts of the mesh that lie inside others and face the same "
+                f"way: {self.united.buried}; {taken}"
             )
         return said
 
@@ -381,13 +385,16 @@ class MeshSource(TriangleSource):
         taken = [
             f"{count} {what}"
             for count, what in (
-                (self.winding.doubled, "faces that are there twice count once"),
-                (self.winding.turned, "faces are taken the other way round"),
+                (self.winding.doubled, "doubled faces count once"),
+                (self.winding.turned, "turned faces are turned back"),
             )
             if count
         ]
         return [
-            f"the mesh is not closed ({self.open_edges} bad edges): inside is where its winding "
-            f"number is above {LEVEL:g}, beyond doubt in {100 * self.sureness:.1f} % of it"
+            (
+                f"the mesh is not closed ({self.open_edges} edges are not in two faces): "
+                f"inside is where the winding number is above {LEVEL:g}, which is certain "
+                f"in {100 * self.sureness:.1f} % of it"
+            )
             + "".join(f"; {what}" for what in taken)
         ]

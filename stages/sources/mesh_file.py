@@ -42,11 +42,14 @@ def load(path: Path) -> LoadedMesh:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
     if mesh.vertex_count == 0 or mesh.face_count == 0:
         raise InputError(
-            f"{path}: holds {mesh.vertex_count} vertices and {mesh.face_count} faces, so no "
-            "surface; give a mesh with faces, or take it as a point cloud with --kind points"
+            f"{path}: has {mesh.vertex_count} vertices and {mesh.face_count} faces, so "
+            "no surface; give a mesh with faces, or use it as a point cloud with "
+            "--kind points"
         )
     if mesh.face_vertices.min() < 0 or mesh.face_vertices.max() >= mesh.vertex_count:
-        raise InputError(f"{path}: a face names a vertex that is not there; export the mesh again")
+        raise InputError(
+            f"{path}: a face refers to a vertex that does not exist; export the mesh again"
+        )
     mesh = mesh.without_unused_vertices()
     bad = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
     if bad:
@@ -99,9 +102,9 @@ def _obj(raw: bytes) -> PolygonMesh:
             try:
                 ring = [int(word.split(b"/", 1)[0]) for word in words[1:]]
             except ValueError:
-                raise ValueError(f"line {number} is no face") from None
+                raise ValueError(f"line {number} is not a face") from None
             if 0 in ring:
-                raise ValueError(f"line {number} names vertex 0, but OBJ counts from 1")
+                raise ValueError(f"line {number} refers to vertex 0, but OBJ counts from 1")
             if len(ring) > 2:
                 corners.extend(index - 1 if index > 0 else len(vertices) + index for index in ring)
                 offsets.append(len(corners))
@@ -125,9 +128,9 @@ def _read_trimesh(path: Path) -> PolygonMesh:
                 "is a PLY"
             )
         if suffix in (".tar", ".tgz", ".zip", ".xz", ".bz2", ".zst", ".7z"):
-            raise InputError(f"{path}: is packed; unpack it, and give the file that is in it")
+            raise InputError(f"{path}: is compressed; unpack it, and give the file inside")
         raise InputError(
-            f"{path}: files of kind '{suffix}' are not read; convert a mesh to OBJ, PLY, STL or "
+            f"{path}: files of kind '{suffix}' cannot be read; convert a mesh to OBJ, PLY, STL or "
             "3MF, points to PLY, LAS or CSV, samples on a grid to NRRD, NIfTI, VTI or NPY"
         )
     try:

@@ -123,18 +123,20 @@ class PointSource(TriangleSource):
             for count, what in (
                 (cloud.not_finite, "have coordinates that are not finite; they are left out"),
                 (cloud.thinned, f"are left out at random, since there are more than {MOST}"),
-                (out, "lie out, alone or in a thin cloud, and are left out"),
+                (out, "are outliers, alone or in a thin cloud, and are left out"),
             )
             if count
         ]
         if found.missed > WORTH_SAYING:
             said.append(
-                f"{100 * found.missed:.1f} % of the points lie off the surface that was made of "
-                "them: what is sampled too sparsely there, or is too thin, is lost"
+                f"{100 * found.missed:.1f} % of the points are not on the surface made "
+                "of them: parts that are sampled too sparsely, or are too thin, are "
+                "lost"
             )
         if found.agreement is not None and found.agreement < AGREE:
             said.append(
-                f"the given normals are not used: {100 * found.agreement:.0f} % of them agree with "
-                f"the winding number they make, not {100 * AGREE:.0f} %"
+                f"the given normals are not used: {100 * found.agreement:.0f} % of "
+                "them agree with the winding number that they make, and "
+                f"{100 * AGREE:.0f} % are needed"
             )
         return said

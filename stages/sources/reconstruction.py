@@ -103,7 +103,8 @@ def reconstruct(
         blur = given_noise / size
     if blur > LOUDEST:
         raise InputError(
-            f"a noise of {size * blur:g} leaves nothing of a shape of {size:g}; set --noise"
+            f"a noise of {size * blur:g} is too large for a shape of size {size:g}; "
+            "set --noise if the estimate is wrong"
         )
     coarse, first = _coarse(unit, apart, blur, threads)
     box = np.ptp(unit, axis=0) + 2 * PADDING
@@ -208,7 +209,7 @@ def _without_specks(grid: Grid, field: Single, points: Floats, apart: float, noi
         solid = sign * result > 0
         part, count = label(solid, structure=joined)
         if count == 0:
-            raise InputError("the points have no inside; are they of a closed surface?")
+            raise InputError("the points enclose nothing; give points of a closed surface")
         size = np.bincount(part.reshape(-1))
         small = size < SMALLEST * (result > 0).sum()
         if not noisy:
@@ -231,7 +232,9 @@ def _level_set(grid: Grid, field: Single) -> tuple[Floats, Ints]:
     vertices, triangles, _ = igl.marching_cubes(values, nodes, *map(int, grid.shape), 0.0)
     triangles = np.asarray(triangles, np.int64)
     if len(bad_edges(PolygonMesh.of_triangles(vertices, triangles))):
-        raise InputError("no closed surface passes through the points; are there outliers?")
+        raise InputError(
+            "no closed surface passes through the points; remove outliers, or give more points"
+        )
     return np.asarray(vertices), triangles
 
 

@@ -31,7 +31,7 @@ def repaired(mesh: PolygonMesh, name: str) -> PolygonMesh:
         raise InputError(f"{name}: --repair by pymeshlab failed: {error}; leave it out") from None
     triangles = found["triangles"].astype(np.int64)
     if len(triangles) == 0:
-        raise InputError(f"{name}: --repair leaves no face of it; leave it out")
+        raise InputError(f"{name}: --repair removes every face; leave it out")
     return PolygonMesh.of_triangles(
         low + size * found["vertices"].astype(float), triangles
     ).without_unused_vertices()

@@ -129,7 +129,7 @@ def identify(text: str, kind: str | None = None) -> Identity:
         there = False
     if there:
         if path.is_dir() and kind not in (None, "views"):
-            raise InputError(f"{path}: is a folder; --kind {kind} asks for a file")
+            raise InputError(f"{path}: is a folder, but --kind {kind} needs a file")
         if not path.is_file() and not is_view_set(path):
             raise InputError(
                 f"{path}: is a folder without cameras (transforms.json, or those of COLMAP, NDS, "
@@ -137,7 +137,7 @@ def identify(text: str, kind: str | None = None) -> Identity:
             )
         return identify_path(kind or kind_of(path), path)
     if kind is not None:
-        raise InputError(f"{text}: no such file; --kind {kind} says what a file holds")
+        raise InputError(f"{text}: no such file; --kind {kind} needs the path of a file")
     if text in FIELDS or looks_like_one(text):
         return identify_field(text)
     raise InputError(

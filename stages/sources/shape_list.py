@@ -36,9 +36,11 @@ def read(path: Path) -> list[Shape]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give a list with one INPUT a line") from None
+        raise InputError(f"{path}: no such file; give a list with one INPUT on each line") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give one INPUT a line") from error
+        raise InputError(
+            f"{path}: cannot be read ({error}); give one INPUT on each line"
+        ) from error
     shapes: dict[str, Shape] = {}
     for number, line in enumerate(lines, 1):
         text = line.strip()
@@ -55,7 +57,7 @@ def read(path: Path) -> list[Shape]:
                 f"(line {first.line}), {shape.stem}.vorolight; rename one of them"
             )
     if not shapes:
-        raise InputError(f"{path}: lists no shape; give one INPUT a line")
+        raise InputError(f"{path}: has no shape; give one INPUT on each line")
     return list(shapes.values())
 
 

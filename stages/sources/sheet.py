@@ -31,7 +31,7 @@ def thickened(mesh: PolygonMesh, thickness: float, name: str) -> PolygonMesh:
     shape = np.ceil((high - low) / edge).astype(np.int64) + 1
     if float(np.prod(shape.astype(float))) > MOST:
         raise InputError(
-            f"{name}: a sheet {thickness:g} thick is too thin for its size; thicken it"
+            f"{name}: a sheet {thickness:g} thick is too thin for its size; raise --thickness"
         )
     nodes = (
         low

@@ -91,10 +91,10 @@ def silhouette(image: Path, mask: Path | None, normal: Path | None, reading: Rea
     if covered < FEWEST and found.background is not None:
         raise InputError(
             f"{image}: has no alpha channel, no mask beside it, and one colour throughout; add "
-            f"{image.stem}_mask.png, or take its view out"
+            f"{image.stem}_mask.png, or remove its view"
         )
     if covered < FEWEST:
-        raise InputError(f"{found.place}: the mask is empty; draw it, or take its view out")
+        raise InputError(f"{found.place}: the mask is empty; draw it, or remove its view")
     if covered > found.mask.size - FEWEST:
         raise InputError(
             f"{found.place}: the mask covers the whole picture; give one that leaves the "

@@ -215,7 +215,9 @@ def of_generator(
     try:
         made: Any = function(photo)
     except ImportError as error:
-        raise BackendMissing(f"--generator {text}: needs {error.name}, not installed") from error
+        raise BackendMissing(
+            f"--generator {text}: needs {error.name}, which is not installed"
+        ) from error
     # The user's code may raise anything.
     except Exception as error:
         raise InputError(
@@ -247,7 +249,7 @@ def write(views: SixViews, folder: Path, force: bool) -> Path:
     """
     target = folder / "transforms.json"
     if target.exists() and not force:
-        raise UsageError(f"{target}: there is a set of views already; use --force to replace it")
+        raise UsageError(f"{target}: a set of views exists there; replace it with --force")
     target.unlink(missing_ok=True)
     frames = []
     for name in ("images", "normals"):

@@ -125,7 +125,7 @@ def text_of(raw: bytes) -> str:
         for first, coding in ((1, "utf-16-le"), (0, "utf-16-be")):
             if not any(raw[first::2]):
                 return raw.decode(coding, errors="replace")
-        raise ValueError("it is no text")
+        raise ValueError("it is not a text file")
     return raw.decode("utf-8", errors="replace")
 
 
@@ -245,8 +245,9 @@ def _plausible(table: Floats, layout: _Layout, found: tuple[int, ...]) -> str:
             raise ValueError(f"its column {found[k] + 1} only counts the rows; {other}")
         if size[k] > OTHER_SCALE * np.delete(size, k).max():
             raise ValueError(
-                f"the numbers in its column {found[k] + 1} are more than {OTHER_SCALE:g} times "
-                f"those in the other two, as times are; {other}"
+                f"the numbers in its column {found[k] + 1} are more than "
+                f"{OTHER_SCALE:g} times those in the other two, so they may be times; "
+                f"{other}"
             )
     taken = ", ".join(str(k + 1) for k in found[:2]) + f" and {found[2] + 1}"
     return f"columns {taken} of {layout.columns} are taken for x, y and z; --columns takes others"

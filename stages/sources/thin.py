@@ -36,7 +36,7 @@ class ThinParts:
         said = [
             f"{100 * share:.1f} % of the surface {what}"
             for share, what in (
-                (self.too_thin, f"is of parts or gaps thinner than {RESOLVED:g} voxels"),
+                (self.too_thin, f"belongs to parts or gaps thinner than {RESOLVED:g} voxels"),
                 (self.lost, "has no interior voxel beside it"),
             )
             if share > WORTH_SAYING

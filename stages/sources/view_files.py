@@ -85,7 +85,7 @@ def read(path: Path) -> ViewSet:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: not a readable set of views ({reason[:120]})") from error
     if len(found.shots) < 2:
-        raise InputError(f"{path}: holds {len(found.shots)} views; a shape needs two at the least")
+        raise InputError(f"{path}: has {len(found.shots)} views, but a shape needs at least two")
     for shot in found.shots:
         if not rigid(shot.camera.rotation) or not np.isfinite(shot.camera.translation).all():
             raise InputError(
@@ -269,7 +269,10 @@ def _idr(folder: Path) -> tuple[list[Shot], list[Path]]:
     images = sorted(p for p in (folder / "image").iterdir() if p.suffix.lower() in PICTURES)
     masks = sorted(p for p in (folder / "mask").iterdir() if p.suffix.lower() in PICTURES)
     if len(images) != len(masks):
-        raise InputError(f"{folder}: has {len(images)} pictures and {len(masks)} masks")
+        raise InputError(
+            f"{folder}: has {len(images)} pictures and {len(masks)} masks; give one mask "
+            "for each picture"
+        )
     shots = []
     for number, (image, mask) in enumerate(zip(images, masks, strict=True)):
         if f"world_mat_{number}" not in arrays:

@@ -139,9 +139,9 @@ def check_normals(found: ViewSet, views: Views) -> None:
     # Of a box that stands square to the cameras, the pixels at the outlines say nothing.
     if sideways > TELLING * total and along.sum() < AGREEING * sideways:
         raise InputError(
-            f"{found.path}: the normal maps do not fit the masks (at the outlines the mean cosine "
-            f"to the way out is {along.sum() / sideways:.2f}); taken as {space} axes: set "
-            "normal_space"
+            f"{found.path}: the normal maps do not fit the masks when taken as {space} "
+            "axes (at the outlines, the mean cosine between normals and the outward "
+            f"direction is {along.sum() / sideways:.2f}); set normal_space"
         )
 
 

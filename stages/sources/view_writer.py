@@ -49,7 +49,7 @@ def write_views(
     """
     target = folder / "transforms.json"
     if target.exists() and not force:
-        raise UsageError(f"{target}: there is a set of views already; use --force to replace it")
+        raise UsageError(f"{target}: a set of views exists there; replace it with --force")
     loaded = load(mesh, texture)
     vertices, triangles = loaded.vertices, loaded.triangles
     used = vertices[np.unique(triangles)]

@@ -76,7 +76,8 @@ def classify(
     found = _interior(source, low, coarse, shape, lambda i: random("box", i), tick)
     if not found.any():
         raise InputError(
-            f"{source.path or source.name}: no sample is inside the shape; is its surface closed?"
+            f"{source.path or source.name}: no sample lies inside the shape; check "
+            "that its surface is closed, or raise -n"
         )
     occupied = np.argwhere(found)
     first, last = occupied.min(axis=0), occupied.max(axis=0) + 1

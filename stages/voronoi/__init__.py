@@ -1,1 +1,1 @@
-"""Diagrams, interfaces, cells, and how well surfaces conform to them."""
+"""Voronoi diagrams: generators, interfaces, cells, and the certificate of a surface."""

@@ -1,4 +1,4 @@
-"""Which vertices of a diagram are the written surface's."""
+"""Which vertices of a diagram are vertices of the written surface."""
 
 from __future__ import annotations
 
@@ -30,11 +30,12 @@ class Boundary:
 
     @classmethod
     def certified(cls, trained: PolygonMesh) -> Boundary:
-        """Trained faces that conform; face f of F has the generators f, inside, and F + f.
+        """The boundary of trained faces that conform; face f of F has the generators f (inside) and
+        F + f.
 
-        All generators of a vertex's faces lie on its sphere and no others do, so tetrahedra whose
-        generators are of faces around one vertex are there. Those of the two faces at an edge are
-        flat, and mean either of its ends.
+        All generators of a vertex's faces lie on its sphere and no others do. So a tetrahedron
+        whose generators belong to faces around one vertex has its circumcentre there. Tetrahedra of
+        the two faces at an edge are flat, and stand for either of its ends.
         """
         count = trained.face_count
         number = np.arange(count)
@@ -67,12 +68,13 @@ class Boundary:
         mesh: PolygonMesh,
         within: float,
     ) -> Boundary | None:
-        """``mesh`` as written, which is what the clean-up made of the interface ``raw`` of
-        generators that are ``inside (N,)``; None if their vertices or faces are not the same
-        ``within`` that distance.
+        """The boundary ``mesh`` as written, which the clean-up made of the interface ``raw`` of
+        generators that are ``inside (N,)``; None if vertices or faces differ by more than
+        ``within``.
 
-        Tetrahedra are recognised by their generators, or where those on one sphere are divided into
-        others by their centre; what is flat comes and goes.
+        Tetrahedra are recognised by their generators. Where generators on one sphere are divided
+        into other tetrahedra, they are recognised by their centre; flat ones may appear or
+        disappear.
         """
         from scipy.spatial import cKDTree
 
@@ -95,7 +97,7 @@ class Boundary:
 
         def vertex_of(tetrahedra: Ints, centres: Floats) -> Ints:
             result = np.full(len(tetrahedra), INNER, dtype=np.int64)
-            # What was added inside has a negative number.
+            # Generators that were added inside have a negative number.
             labels = inside[np.maximum(tetrahedra, 0)] | (tetrahedra < 0)
             mixed = np.flatnonzero(~labels.all(axis=1))
             wanted = _rows(tetrahedra[mixed])
@@ -139,7 +141,8 @@ def from_least(mesh: PolygonMesh) -> Ints:
 
 
 def same_rings(first: PolygonMesh, place: Ints, second: PolygonMesh) -> bool:
-    """Whether face ``place[f]`` of ``first`` has the corners of face f of ``second``, in a ring."""
+    """Whether face ``place[f]`` of ``first`` has the corners of face f of ``second`` in the same
+    cyclic order."""
     size = second.valences
     if not np.array_equal(first.valences[place], size):
         return False

@@ -1,4 +1,4 @@
-"""Whether cells are what a solver expects: closed, simple, solid."""
+"""Checks that cells are what a solver expects: closed, simple and solid."""
 
 from __future__ import annotations
 

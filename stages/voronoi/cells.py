@@ -32,13 +32,13 @@ class PolyhedralMesh:
 
     faces: PolygonMesh
     owner: Ints
-    """Cell that each face's normal leaves, ``(F,)``."""
+    """Cell that each face's normal points away from, ``(F,)``."""
     neighbour: Ints
     """Cell on the other side ``(F,)``, -1 on the boundary."""
     cell_generator: Ints
     """Generator of each cell ``(C,)``, ascending."""
     surface_vertices: int
-    """How many of the vertices are the surface's."""
+    """Number of vertices that are vertices of the surface."""
 
     @property
     def cell_count(self) -> int:
@@ -46,8 +46,8 @@ class PolyhedralMesh:
 
     @cached_property
     def half_faces(self) -> tuple[Ints, Ints, NDArray[np.bool_]]:
-        """Every face once for each of its cells: face, cell, and whether the ring turns the other
-        way seen from outside the cell. Sorted by cell, then face."""
+        """Each face once for each of its cells: face, cell, and whether its corners must be
+        reversed to be counter-clockwise from outside the cell. Sorted by cell, then face."""
         inner = np.flatnonzero(self.neighbour >= 0)
         face = np.concatenate([np.arange(self.faces.face_count), inner])
         cell = np.concatenate([self.owner, self.neighbour[inner]])
@@ -57,7 +57,7 @@ class PolyhedralMesh:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> PolyhedralMesh:
-        """The cells that stage volume stored."""
+        """The cells that stage volume wrote."""
         faces, neighbour = PolygonMesh.from_arrays(arrays), arrays["face_neighbour"]
         surface = faces.select_faces(neighbour < 0).face_vertices
         count = 1 + int(surface.max(initial=-1))
@@ -69,7 +69,7 @@ class PolyhedralMesh:
         number = np.append(np.cumsum(keep) - 1, -1)
         number[:-1][~keep] = -1
         inner = self.faces.select_faces(owner & beyond)
-        # The surface's own faces come first, then those that are cut free, turned outward.
+        # The surface's own faces come first, then the faces of the cut, turned outward.
         parts = [
             self.faces.select_faces(owner & (self.neighbour < 0)),
             self.faces.select_faces(owner & (self.neighbour >= 0) & ~beyond),
@@ -104,7 +104,7 @@ class PolyhedralMesh:
 
     @property
     def body_count(self) -> int:
-        """Sets of cells that no faces lead between."""
+        """Sets of cells that no faces connect."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -136,7 +136,8 @@ class PolyhedralMesh:
         )
 
     def tetrahedron_volumes(self, apexes: Floats) -> Floats:
-        """Of the tetrahedra from ``apexes (C, 3)``, a point of each cell, to their triangles."""
+        """Volumes of the tetrahedra from ``apexes (C, 3)``, a point of each cell, to its
+        triangles."""
         vertices, triangles, cell = self.tetrahedra
         apex = apexes[cell]
         a, b, c = (vertices[triangles[:, k]] - apex for k in range(3))
@@ -198,8 +199,8 @@ def raw_cells(
     place = _places(pairs[outer], added + boundary.generators)
     if place is None or not same_rings(faces.select_faces(outer), place, boundary.mesh):
         raise NumericalFailure(
-            "the faces of the cells at the boundary are not those of the surface: the inner "
-            "generators changed it"
+            "the outer faces of the cells are not those of the surface, so the inner "
+            "generators changed it; lower --inner"
         )
     return _assembled(
         faces.select_faces(~outer), owner[~outer], neighbour[~outer],
@@ -208,7 +209,7 @@ def raw_cells(
 
 
 def _turned(mesh: PolygonMesh) -> PolygonMesh:
-    """The faces seen from behind, each beginning at the same corner."""
+    """The faces in reverse order of their corners, each beginning at the same corner."""
     starts, face = mesh.face_offsets[:-1], mesh.corner_faces
     within = np.arange(len(face)) - starts[face]
     back = starts[face] + (mesh.valences[face] - within) % mesh.valences[face]
@@ -216,7 +217,8 @@ def _turned(mesh: PolygonMesh) -> PolygonMesh:
 
 
 def _places(pairs: Ints, wanted: Ints) -> Ints | None:
-    """Where each of ``wanted (F, 2)`` is in ``pairs``; None if they are not the same."""
+    """The place of each row of ``wanted (F, 2)`` in ``pairs``; None if the rows are not the
+    same."""
     base = 1 + int(max(pairs.max(initial=0), wanted.max(initial=0)))
     keys = [p @ np.array([base, 1]) for p in (pairs, wanted)]
     orders = [np.argsort(key, kind="stable") for key in keys]
@@ -260,8 +262,8 @@ def _assembled(
 
 
 def contracted(mesh: PolyhedralMesh, target: Ints, vertices: Floats) -> PolyhedralMesh:
-    """The cells over ``target (V,)``, new numbers into ``vertices``; faces without three corners
-    go. The surface's vertices must stay as they are."""
+    """The cells after vertices became ``target (V,)``, given as numbers of ``vertices``; faces with
+    less than three corners are removed. The surface's vertices must stay as they are."""
     inner = mesh.neighbour >= 0
     surface = mesh.boundary.with_vertices(vertices[: mesh.surface_vertices])
     wide = PolygonMesh(vertices, mesh.faces.face_offsets, mesh.faces.face_vertices)

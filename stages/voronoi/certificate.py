@@ -32,31 +32,33 @@ MARGIN = 1e-5
 PLANAR = 1e-8
 """Largest distance of a corner from its face's plane, in units of h0."""
 REACH = 0.5
-"""How far beyond a sphere, in units of h0, generators are looked at."""
+"""Distance beyond a sphere, in units of h0, within which generators are measured."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was found; lengths in units of h0."""
+    """The result of the checks; lengths are in units of h0."""
 
     holds: bool
     failed: tuple[str, ...]
-    """The conditions that do not hold: incident, exclusion, rings, orientation, winding."""
+    """The conditions that fail: incident, exclusion, rings, orientation, winding."""
     incident_power: float
-    """tau: the largest ``|power|`` of a face's generator to its spheres."""
+    """tau: the largest ``|power|`` of a face's generator to the spheres of its corners."""
     margin: float
-    """m: the smallest power of a generator to a sphere not of its face, REACH^2 at the most."""
+    """m: the smallest power of a generator to a sphere that is not one of its face's, at most
+    REACH^2."""
     intruders: int
-    """Pairs of a generator and a sphere not of its face with a power below the margin."""
+    """Pairs of a generator and a sphere that is not one of its face's, with a power below the
+    margin."""
     bad_rings: int
-    """Faces that are not convex, planar or solid, and edges not in two faces."""
+    """Faces that are not convex, planar or solid, and edges that are not in two faces."""
     turned_faces: int
     wound_wrongly: int
     """Generators on the wrong side of the surface."""
     smallest_offset: float
-    """Half the distance between the two generators of a face, at its least."""
+    """The smallest of half the distance between the two generators of a face."""
     conforms_within: float
-    """How far a face may lie from the bisector of its pair in floating point."""
+    """Largest distance of a face from the bisector of its pair, in floating point."""
 
 
 def certify(
@@ -117,7 +119,7 @@ def certify(
 def _other_powers(
     trained: PolygonMesh, radii: Floats, generators: Floats, face_generators: Ints, threads: int
 ) -> Floats:
-    """Powers of the generators that are in or near a sphere of none of their faces."""
+    """Powers of generators in or near a sphere that is not one of their face's spheres."""
     from scipy.spatial import cKDTree
 
     found = cKDTree(generators).query_ball_point(
@@ -126,7 +128,7 @@ def _other_powers(
     count = np.fromiter((len(row) for row in found), np.int64, len(found))
     point = np.concatenate([np.asarray(row, np.int64) for row in found])
     sphere = np.repeat(np.arange(trained.vertex_count), count)
-    # Only spheres of faces count: a vertex that no face uses has none.
+    # Only spheres of vertices that a face uses count.
     used = np.zeros(trained.vertex_count, dtype=bool)
     used[trained.face_vertices] = True
     incident = (face_generators[trained.corner_faces] * trained.vertex_count).T
@@ -138,7 +140,8 @@ def _other_powers(
 
 
 def sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
-    """Faces that are planar and turn to the left at every corner, once around."""
+    """Faces that are planar and convex: they turn left at every corner, and once around in
+    total."""
     face, here, after = mesh.corner_faces, mesh.face_vertices, mesh.next_vertices
     into = mesh.vertices[after] - mesh.vertices[here]
     out = into[mesh.next_corners]

@@ -1,4 +1,4 @@
-"""Degenerate clean-up of an interface: flat tetrahedra dropped, coincident vertices merged.
+"""Clean-up of a degenerate interface: flat tetrahedra are dropped, coincident vertices are merged.
 
 Trained generators are degenerate on purpose, so many tetrahedra of their diagram are flat and many
 circumcentres coincide. Every step is undone where it would open the surface.
@@ -19,12 +19,12 @@ from .interface import VoronoiSurface
 from .vertices import FLAT
 
 MERGE = 1e-6
-"""Distance, in units of the spacing, below which neighbouring Voronoi vertices are one."""
+"""Distance, in units of the spacing, below which neighbouring Voronoi vertices are merged."""
 
 
 @dataclass(frozen=True)
 class CleanSurface:
-    """A closed interface after clean-up, and what was done to it."""
+    """A closed interface after the clean-up, and counts of what was done."""
 
     mesh: PolygonMesh
     generators: Ints
@@ -33,11 +33,12 @@ class CleanSurface:
     dropped_faces: int
     kept_degenerate: int
     vertex_sources: Ints
-    """For each vertex of the raw surface the vertex of ``mesh`` it became, -1 if dropped."""
+    """For each vertex of the raw surface, the vertex of ``mesh`` that replaces it; -1 if it was
+    dropped."""
 
 
 def settle(positions: Floats, mesh: PolygonMesh, flat: NDArray[np.bool_]) -> Floats:
-    """Move flat vertices, whose circumcentres mean nothing, to the mean of their neighbours."""
+    """Move flat vertices, whose circumcentres are meaningless, to the mean of their neighbours."""
     if not flat.any():
         return positions
     ends = edges(mesh)

@@ -64,7 +64,7 @@ def cell_sums(
     more neighbours are needed, CROWDED where a cell has more than ``most`` planes, else 0.
     """
     weighted = density.size > 0
-    room = 2 * most  # a cell has fewer vertices, three faces meeting at each
+    room = 2 * most  # A cell has fewer vertices than this when three faces meet at each.
     normal = np.empty((most, 3))
     offset = np.empty(most)
     number = np.empty(most, np.int64)
@@ -87,7 +87,7 @@ def cell_sums(
         for corner in range(8):
             i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
             ends[corner, 0], ends[corner, 1], ends[corner, 2] = i, 2 + j, 4 + k
-            if (i + j + k) % 2 == 0:  # an even number of upper sides turns the other way
+            if (i + j + k) % 2 == 0:  # an even number of upper sides reverses the order
                 ends[corner, 1], ends[corner, 2] = 4 + k, 2 + j
             place[corner, 0] = offset[1] if i else -offset[0]
             place[corner, 1] = offset[3] if j else -offset[2]
@@ -131,7 +131,7 @@ def cell_sums(
                     ends[kept] = ends[v]
                     place[kept] = place[v]
                     kept += 1
-            if planes == most:  # those that were cut off again make room
+            if planes == most:  # vertices that were cut off later are reused
                 number[:] = -1
                 for v in range(kept):
                     for k in range(3):

@@ -1,4 +1,4 @@
-"""How far the trained surface is from being the Voronoi interface of its own generators."""
+"""How much of the Voronoi interface of the trained generators is the trained surface."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from .trained_surface import TrainedSurface
 
 @dataclass(frozen=True)
 class Conformity:
-    """Measured on the real diagram before any merging; lengths squared in units of spacing^2."""
+    """Figures of the actual diagram before any merging. Squared lengths are in units of
+    spacing^2."""
 
     pair_area_share: float
-    """Area of the faces between the two generators of one trained face / whole interface."""
+    """Area of the faces between the two generators of one trained face, divided by the whole
+    area."""
     pair_faces: int
     """Trained faces whose pair has a face in the diagram."""
     trained_faces: int

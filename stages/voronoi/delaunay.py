@@ -1,7 +1,8 @@
-"""Delaunay tetrahedra of the generators, by one of several backends.
+"""Delaunay tetrahedra of the generators, by one of several libraries.
 
-scipy (Qhull) is the reference: what is written comes from it. Another one may be chosen for the
-diagrams within iterations; where it fails, scipy does that diagram, and it is counted.
+scipy (Qhull) is the reference: everything that is written comes from it. Another library may
+compute the diagrams within iterations. Where it fails, scipy computes that diagram, and the failure
+is counted.
 """
 
 from __future__ import annotations
@@ -33,17 +34,21 @@ class Tetrahedra:
 
 
 OVERLAP = 1e-9
-"""Part of the hull's volume that tetrahedra may be counted too much: rounding is far below."""
+"""Relative excess of the tetrahedra's total volume over that of the hull that counts as
+rounding."""
 PACKED = 2_000_000
-"""Points below which three indices fit into one 64-bit key."""
+"""Number of points below which three indices fit into one 64-bit key."""
 
 Backend = Callable[[Floats], tuple[Ints, Ints]]
-"""Corners and neighbours of points ``(N, 3)``, finite and at least five, in whatever order; raises
-RuntimeError when it cannot say. Points that are no corner of any are left out."""
+"""A function from points ``(N, 3)``, finite and at least five, to corners and neighbours in any
+order.
+
+It raises RuntimeError if it fails. Points that are no corner of a tetrahedron are left out.
+"""
 
 
 def by_scipy(generators: Floats) -> tuple[Ints, Ints]:
-    """Qhull's."""
+    """Delaunay tetrahedra by Qhull."""
     from scipy.spatial import Delaunay, QhullError
 
     try:
@@ -54,8 +59,11 @@ def by_scipy(generators: Floats) -> tuple[Ints, Ints]:
 
 
 def by_shull(generators: Floats) -> tuple[Ints, Ints]:
-    """shull's, computed in a child process. Raises RuntimeError when they do not fill the convex
-    hull: on degenerate points shull 0.4 may leave some overlapping."""
+    """Delaunay tetrahedra by shull, computed in a child process.
+
+    Raises RuntimeError if they do not fill the convex hull: on degenerate points shull 0.4 may
+    leave overlapping ones.
+    """
     from scipy.spatial import ConvexHull
 
     from .shull_child import tetrahedra
@@ -75,20 +83,20 @@ BACKENDS: dict[str, Backend] = {"scipy": by_scipy, "shull": by_shull}
 
 @dataclass
 class Use:
-    """A backend in use, and how it went."""
+    """The library in use, and its failures."""
 
     name: str = "scipy"
     diagrams: int = 0
     failures: list[str] = field(default_factory=list)
-    """What it said of each diagram that scipy did in its place."""
+    """The reason for each diagram that scipy computed instead."""
 
     def warning(self) -> str | None:
-        """What the manifest says of the failures."""
+        """A warning about the failures, for the manifest."""
         if not self.failures:
             return None
         return (
-            f"--backend {self.name} failed in {len(self.failures)} of {self.diagrams} diagrams "
-            f"({self.failures[0]}); scipy did those"
+            f"--backend {self.name} failed in {len(self.failures)} of {self.diagrams} "
+            f"diagrams ({self.failures[0]}); scipy computed those instead"
         )
 
 
@@ -102,7 +110,8 @@ def backend(name: str) -> Iterator[Use]:
 
     if name != "scipy" and find_spec(name) is None:
         raise BackendMissing(
-            f"--backend {name}: not installed; pip install 'vorolight[fast]', or --backend scipy"
+            f"--backend {name}: not installed; run: pip install 'vorolight[fast]', or use "
+            "--backend scipy"
         )
     use = Use(name)
     token = _USED.set(use)
@@ -113,16 +122,17 @@ def backend(name: str) -> Iterator[Use]:
 
 
 def delaunay(generators: Floats) -> Tetrahedra:
-    """The Delaunay tetrahedra of ``generators (N, 3)`` by scipy, in an order of their own.
+    """The Delaunay tetrahedra of ``generators (N, 3)`` by scipy, in a canonical order.
 
-    Raises NumericalFailure for what Qhull cannot be trusted with: fewer than five points, values
-    that are not finite, two generators at one place.
+    Raises NumericalFailure for fewer than five points, values that are not finite, and two
+    generators at one place.
     """
     return _checked(generators, by_scipy)
 
 
 def in_passing(generators: Floats) -> Tetrahedra:
-    """As ``delaunay``, by the backend in use: for what is computed many times and not written."""
+    """As ``delaunay``, by the library in use. It is for diagrams that are computed often and not
+    written."""
     use = _USED.get() or Use()
     use.diagrams += 1
     if use.name != "scipy":
@@ -135,15 +145,21 @@ def in_passing(generators: Floats) -> Tetrahedra:
 
 def _checked(generators: Floats, method: Backend) -> Tetrahedra:
     if len(generators) < 5:
-        raise NumericalFailure(f"{len(generators)} generators are too few for a Voronoi diagram")
+        raise NumericalFailure(
+            f"{len(generators)} generators are too few for a Voronoi diagram; raise -n"
+        )
     if not np.isfinite(generators).all():
-        raise NumericalFailure("a generator is not finite: the optimisation diverged")
+        raise NumericalFailure(
+            "a generator is not finite, since the optimisation diverged; lower the learning rate"
+        )
     corners, neighbours = method(generators)
     present = np.zeros(len(generators), dtype=bool)
     present[corners] = True
-    # Backends leave out what coincides.
+    # Libraries leave out coinciding points.
     if not present.all() and len(np.unique(generators, axis=0)) < len(generators):
-        raise NumericalFailure("two generators coincide")
+        raise NumericalFailure(
+            "two generators coincide, so there is no face between them; change -n a little"
+        )
     return _in_order(corners, neighbours, len(generators))
 
 
@@ -152,7 +168,7 @@ def _in_order(corners: Ints, neighbours: Ints, count: int) -> Tetrahedra:
     place = np.argsort(corners, axis=1)
     corners = np.take_along_axis(corners, place, axis=1)
     if count < PACKED:
-        # Two tetrahedra at the most share their first three corners.
+        # At most two tetrahedra have the same first three corners.
         key = (corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2]
         order = np.argsort(key)
         twin = np.flatnonzero(np.diff(key[order]) == 0)

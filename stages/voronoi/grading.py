@@ -1,4 +1,4 @@
-"""How large cells are to be, as a function of the distance to the surface."""
+"""The wanted sizes of cells as a function of the distance to the surface."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..surface.polygons import Floats, PolygonMesh
 from .interior import Guard
 
 NODES = 400_000
-"""Of the grid that the distance to the surface is kept on, about."""
+"""Approximate number of nodes of the grid that stores the distance to the surface."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Grid:
 @dataclass(frozen=True)
 class Sizes:
     """Wanted sizes of cells (cube roots of their volumes) inside a surface: ``least + growth d`` at
-    depth d below it, and ``most`` at the most. In model units."""
+    depth d, at most ``most``. In model units."""
 
     least: float
     growth: float
@@ -38,23 +38,25 @@ class Sizes:
 
     @cached_property
     def wanted(self) -> Floats:
-        """At the nodes of the grid."""
+        """The wanted sizes at the nodes of the grid."""
         return np.minimum(self.least + self.growth * np.maximum(self.depth.values, 0), self.most)
 
     def density(self) -> Grid:
-        """A centroidal tessellation under it has cells of the wanted sizes, or all of them so many
-        times larger: sizes go as the fifth root of the inverse density (Gersho; Du, Faber and
-        Gunzburger 1999)."""
+        """A density whose centroidal tessellation has cells of the wanted sizes, up to a common
+        factor.
+
+        Sizes go as the fifth root of the inverse density (Gersho; Du, Faber and Gunzburger 1999).
+        """
         values = np.ascontiguousarray((self.wanted / self.wanted.min()) ** -5)
         return Grid(values, self.depth.origin, self.depth.spacing)
 
     def count(self, layer: float) -> float:
-        """How many cells fill what lies deeper than ``layer``."""
+        """The number of cells that fill the part deeper than ``layer``."""
         deep = self.depth.values > layer
         return float((self.wanted[deep] ** -3).sum() * self.depth.spacing**3)
 
     def places(self, random: np.random.Generator, count: int) -> Floats:
-        """Random points ``(count, 3)``, as many per volume as there are cells to be."""
+        """Random points ``(count, 3)``, with the density of the wanted cells."""
         inside = np.flatnonzero(self.depth.values.reshape(-1) > -self.depth.spacing)
         total = np.cumsum(self.wanted.reshape(-1)[inside] ** -3)
         node = inside[np.searchsorted(total, random.random(count) * total[-1], side="right")]
@@ -64,7 +66,8 @@ class Sizes:
 
 
 def depths(surface: PolygonMesh, guard: Guard, threads: int) -> Grid:
-    """Distances to ``surface`` on a grid around it; inside is where an inside generator is next."""
+    """Distances to ``surface`` on a grid around it. A node is inside if the nearest generator is
+    inside."""
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     spacing = float(np.cbrt(np.prod(high - low) / NODES))
     nodes = [

@@ -54,11 +54,12 @@ def interface(
 def without_islands(
     generators: Floats, inside: NDArray[np.bool_], smallest: float
 ) -> tuple[Floats, NDArray[np.bool_], int]:
-    """Drop generators that only make specks: components enclosing less volume than ``smallest``.
+    """Remove generators whose only effect are specks: components that enclose less than
+    ``smallest``.
 
-    A speck inside the outside is made by inside generators, a bubble in the inside by outside
-    ones; both are below what the generators can resolve. Returns the generators and labels that
-    are left and the number of components that went.
+    A speck in the outside comes from inside generators, a bubble in the inside from outside ones.
+    Both are smaller than the generators can resolve. Returns the remaining generators and labels,
+    and the number of components that were removed.
     """
     gone = 0
     while True:

@@ -14,18 +14,18 @@ BAND = 3
 MIRRORED = 1.2
 """Distance to the surface, in cell edges, up to which a generator gets a mirror image."""
 NEAREST = 0.02
-"""Distance, in cell edges, below which a place is too near to the surface to be mirrored."""
+"""Distance, in cell edges, below which a place is too close to the surface to be mirrored."""
 HALVINGS = 6
-"""How often a pair is moved nearer to the surface to fit into what is thin."""
+"""How often a pair is moved closer to the surface to fit into a thin part."""
 FINER = 0.75
-"""A cell is divided where the thickness asks for less than this share of its edge."""
+"""A cell is divided if its wanted edge is less than this share of its edge."""
 ALONE = 0.7
-"""Share of its distance within which no other piece of surface may be to a mirror image."""
+"""A mirror image must have no other piece of surface within this share of its distance."""
 JITTER = 1e-3
-"""Standard deviation that takes cell centres off their lattice, in cell edges, and mirror images
-off their plane, in distances to it."""
+"""Standard deviation of the shifts of cell centres off their lattice, in cell edges, and of mirror
+images off their plane, as a share of their distance to it."""
 FAR = 60
-"""Generators far outside that bound the diagram."""
+"""Number of generators far outside, which bound the diagram."""
 
 
 def mirrored(
@@ -74,7 +74,7 @@ def mirrored(
 def _divided(
     places: Floats, edge: Floats, surface: TrueSurface, wanted: LengthField
 ) -> tuple[Floats, Floats]:
-    """The cells, those near to something thin replaced by their eight parts."""
+    """The cells, where those near a thin part are replaced by their eight parts."""
     foot, _ = surface.closest(places)
     split = wanted(foot) < FINER * edge
     split &= np.linalg.norm(places - foot, axis=1) < (MIRRORED + 0.9) * edge
@@ -93,7 +93,8 @@ def _fitted(
     distance: Floats,
     within: NDArray[np.bool_],
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Offsets ``(N,)`` at which both points of a pair are on their sides, and whether any is."""
+    """Offsets ``(N,)`` at which both points of a pair are on the right side, and whether there is
+    one."""
     offset, fits = distance.copy(), np.zeros(len(foot), dtype=bool)
     left = np.arange(len(foot))
     for _ in range(HALVINGS):
@@ -111,7 +112,7 @@ def _fitted(
 
 
 def _far_away(places: Floats) -> Floats:
-    """Points all around at the diagonal's distance, on a spiral over a sphere."""
+    """Points in all directions at the distance of the diagonal, on a spiral over a sphere."""
     low, high = places.min(axis=0), places.max(axis=0)
     height = np.linspace(-0.98, 0.98, FAR)
     angle = np.arange(FAR) * np.pi * (3 - np.sqrt(5))

@@ -1,4 +1,5 @@
-"""Masses, centroids and energies of some cells of a Voronoi diagram, without the whole of it."""
+"""Masses, centroids and energies of some cells of a Voronoi diagram, without computing all of
+it."""
 
 from __future__ import annotations
 
@@ -13,11 +14,11 @@ from .delaunay import Floats, Ints
 from .grading import Grid
 
 NEIGHBOURS = 60
-"""Nearest points that are tried at first; few cells have more to do with."""
+"""Number of nearest points that are used at first; few cells need more."""
 SLICE = 20_000
-"""Cells whose neighbours are held at once."""
+"""Number of cells whose neighbours are in memory at the same time."""
 FACES = (128, 1024, 8192)
-"""Room for the faces of a cell; few need more than the first."""
+"""Sizes of the memory for the faces of a cell; few cells need more than the first."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,10 @@ class Moments:
 def cell_moments(
     generators: Floats, count: int, density: Grid | None = None, threads: int = 1
 ) -> Moments:
-    """Of the cells of the first ``count`` of ``generators (N, 3)``; density None is 1.
+    """Moments of the cells of the first ``count`` of ``generators (N, 3)``; density None is 1.
 
     The cells are cut from a box around all generators, so unbounded ones end there. Raises
-    NumericalFailure when a generator is not finite or two coincide.
+    NumericalFailure if a generator is not finite or two coincide.
     """
     from scipy.spatial import cKDTree
 
@@ -60,7 +61,7 @@ def cell_moments(
 
 
 def _sums(tree: Any, generators: Floats, cells: Ints, density: Grid | None) -> Floats:
-    """What ``clipping.cell_sums`` finds, with as many neighbours for each cell as it needs."""
+    """The result of ``clipping.cell_sums``, with as many neighbours for each cell as it needs."""
     from . import clipping
 
     edge = np.ptp(generators, axis=0).max()
@@ -76,7 +77,9 @@ def _sums(tree: Any, generators: Floats, cells: Ints, density: Grid | None) -> F
         wanted = min(neighbours + 1, len(generators))
         distance, around = tree.query(generators[cells[left]], k=wanted)
         if (distance[:, 1] == 0).any():
-            raise NumericalFailure("two generators coincide")
+            raise NumericalFailure(
+                "two generators coincide, so there is no face between them; change --inner a little"
+            )
         status = np.zeros(len(left), dtype=np.int64)
         found = np.zeros((len(left), 6))
         clipping.cell_sums(

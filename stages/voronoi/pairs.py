@@ -1,4 +1,4 @@
-"""Generator pairs of trained faces, labelled by the inside test."""
+"""Generator pairs of trained faces, labelled by a test for the inside."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from ..surface.geometry import face_frames, fan_triangles
 from ..surface.polygons import Floats, PolygonMesh
 
 CLOSER = 6
-"""How often a pair on one side of the surface is set across it, each time half as far apart."""
+"""How often a pair on one side of the surface is moved across it, each time with half the
+distance."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,10 @@ class Pairs:
     relabelled: int
     """Pairs whose face normal pointed inward."""
     replaced: int
-    """Pairs with both points on one side of the surface, set across their face's centroid."""
+    """Pairs with both points on one side of the surface, which were moved across their face's
+    centroid."""
     undecided: int
-    """Pairs for which that failed; the face's orientation decided."""
+    """Pairs for which that failed, so that the orientation of the face decided."""
 
 
 def label_pairs(trained: PolygonMesh, ahead: Floats, behind: Floats) -> Pairs:

@@ -1,4 +1,4 @@
-"""Voronoi faces as rings of Delaunay tetrahedra, all faces walked together."""
+"""Voronoi faces as rings of Delaunay tetrahedra; all faces are found at the same time."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def _beyond() -> Ints:
 
 BEYOND = _beyond()
 THIN = 1e-6
-"""Six volumes of a tetrahedron over the cube of an edge, below which its turning sense is not
-relied on."""
+"""Six volumes of a tetrahedron divided by the cube of an edge, below which its orientation is not
+reliable."""
 
 Selection = Callable[[Ints, Ints], NDArray[np.int8]]
 
@@ -66,7 +66,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     the triangulation is inconsistent around an edge.
     """
     wanted = select(tetrahedra.corners[:, EDGES[:, 0]], tetrahedra.corners[:, EDGES[:, 1]])
-    # From here on tetrahedra are numbered among those with a wanted edge.
+    # From here on, tetrahedra are numbered among those with a wanted edge.
     used = np.flatnonzero(wanted.any(axis=1))
     wanted, corners = wanted[used], tetrahedra.corners[used]
     number = np.full(len(tetrahedra.corners) + 1, -1)
@@ -89,8 +89,8 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         beyond = neighbours[tet, corner]
         if (beyond < 0).any():
             raise NumericalFailure(
-                "a Voronoi face of the surface is unbounded, as generators strayed; raise -n, or "
-                "close the openings of the input"
+                "a Voronoi face of the surface is unbounded, since generators moved far "
+                "away; raise -n, or close the openings of the input"
             )
         then = BEYOND[corner, back[tet, corner], edge]
         leaving[:, side] = 2 * incidence[beyond, then >> 1] + (then & 1)
@@ -108,7 +108,9 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         walked[starts[active] + step] = state[active]
         state[active] = following[state[active]]
     if not np.array_equal(state, origin) or (np.bincount(walked >> 1) > 1).any():
-        raise NumericalFailure("the Delaunay tetrahedra do not close around an edge")
+        raise NumericalFailure(
+            "the Delaunay tetrahedra do not close around an edge; change -n a little"
+        )
 
     def wedges(walk: Ints) -> tuple[Floats, NDArray[np.bool_]]:
         """Six times the volumes that states turn by about first -> second (tetrahedra come without
@@ -127,7 +129,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         flat = np.abs(volume) < THIN * np.einsum("ij,ij->i", ahead, ahead) ** 1.5
         return np.where(turned == 0, volume, -volume), flat
 
-    # One wedge tells the sense of a ring; where it is flat all are asked.
+    # One reliable wedge gives the sense of a ring; if it is flat, all wedges decide.
     sense, unsure = wedges(walked[starts])
     ring = np.repeat(np.arange(len(starts)), valence)
     asked = unsure[ring]

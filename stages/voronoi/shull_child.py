@@ -1,5 +1,7 @@
-"""Delaunay tetrahedra by shull. It is under the GPL: this module alone names it, and only the child
-process that it becomes imports it."""
+"""Delaunay tetrahedra by shull, which is under the GPL.
+
+Only the child process that this module starts imports it.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 HEADER = 8
-"""Bytes of a count; -1 where a message follows."""
+"""Format of a count; -1 announces an error message."""
 
 _CHILD: list[subprocess.Popen[bytes]] = []
 
 
 def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Corners and neighbours ``(T, 4)`` of the tetrahedra of ``points (N, 3)``; the child stays for
-    the next call. Raises RuntimeError when shull fails or dies."""
+    """Corners and neighbours ``(T, 4)`` of the tetrahedra of ``points (N, 3)``; the child serves
+    the next call too.
+
+    Raises RuntimeError if shull fails or ends.
+    """
     child = _CHILD.pop() if _CHILD else _started()
     assert child.stdin is not None
     assert child.stdout is not None
@@ -30,7 +35,8 @@ def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[
     except (EOFError, OSError) as error:
         child.kill()
         raise RuntimeError(f"shull ended with {child.wait()}") from error
-    # Only now: a child whose answer was not read to its end would give it to the next call.
+    # Keep the child only now: after an answer that was read in part, the next call would get the
+    # rest.
     _CHILD.append(child)
     if count < 0:
         raise RuntimeError(answer[0].decode())
@@ -59,7 +65,7 @@ def _count(pipe: IO[bytes]) -> int:
 
 
 def _read(pipe: IO[bytes], size: int) -> bytes:
-    """Raises EOFError when the other side ends first."""
+    """Raises EOFError if the other side ends first."""
     found = pipe.read(size)
     if len(found) < size:
         raise EOFError
@@ -67,7 +73,7 @@ def _read(pipe: IO[bytes], size: int) -> bytes:
 
 
 def _serve() -> None:
-    """Answer sets of points until the pipe is closed."""
+    """Answer requests until the pipe is closed."""
     import shull
 
     into, out = sys.stdin.buffer, sys.stdout.buffer

@@ -1,4 +1,4 @@
-"""Short edges and small faces inside a polyhedral mesh, contracted where its cells stay sound."""
+"""Contract short edges and small faces inside a polyhedral mesh where its cells stay sound."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from .cells import PolyhedralMesh, contracted
 
 PASSES = 12
 LESS, ATTEMPTS = 0.2, 12
-"""Where a cell would come apart the tolerance is lowered by that factor, so many times."""
+"""Where a cell would become faulty the tolerance is lowered by the factor, at most so many
+times."""
 
 
 @dataclass(frozen=True)
 class Merged:
-    """Cells without most slivers, and what was done to them."""
+    """Cells without most slivers, and counts of what was done."""
 
     mesh: PolyhedralMesh
     contracted_vertices: int
     spared_vertices: int
-    """At which less was contracted, because a cell next to them would have come apart."""
+    """Vertices with a lower tolerance, because a cell next to them would have become faulty."""
     faults: dict[str, int]
     """Cells that fail each of the checks."""
 
@@ -76,10 +77,11 @@ def _touched(mesh: PolyhedralMesh, cells: NDArray[np.bool_]) -> NDArray[np.bool_
 
 
 def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
-    """What each vertex becomes, and where those are; ``least (V,)`` is the shortest edge wanted.
+    """The target of each vertex and the positions; ``least (V,)`` is the smallest allowed edge
+    length.
 
-    In a pass every vertex goes to the nearest one at the end of an edge that is too short, so that
-    no two vertices of the surface ever become one.
+    In a pass every vertex moves to the nearest one at the end of an edge that is too short, so that
+    two vertices of the surface are never merged.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -105,7 +107,7 @@ def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
             (np.ones(len(first), bool), (start[first], end[first])), shape=(count, count)
         )
         groups, group = connected_components(graph, directed=False)
-        # The smallest number is the surface's vertex if one is among them.
+        # The smallest number is a vertex of the surface if there is one among them.
         chosen = np.full(groups, count, dtype=np.int64)
         np.minimum.at(chosen, group, np.arange(count))
         step = chosen[group]
@@ -136,7 +138,7 @@ def _over(mesh: PolygonMesh, vertices: Floats, target: Ints) -> PolygonMesh:
 def _of_small_faces(
     mesh: PolygonMesh, ends: Ints, length: Floats, least: Floats
 ) -> NDArray[np.bool_]:
-    """The shortest edge of each face with less area than the square of what is wanted there."""
+    """The shortest edge of each face whose area is less than the square of the wanted length."""
     area = face_frames(mesh)[0]
     wanted = np.full(mesh.face_count, np.inf)
     np.minimum.at(wanted, mesh.corner_faces, least[mesh.face_vertices])

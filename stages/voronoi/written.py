@@ -1,4 +1,5 @@
-"""The surface that a training may write: its own faces, or what their generators really bound."""
+"""The surface that stage sphere-train writes: the trained faces, or the interface of their
+generators."""
 
 from __future__ import annotations
 
@@ -17,12 +18,12 @@ from .trained_surface import TrainedSurface
 from .vertices import FLAT
 
 MERGE = 1e-4
-"""In units of h0: edges of the diagram shorter than this are contracted where it is compared."""
+"""In units of h0: shorter edges of the diagram are contracted before it is compared."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """A surface, the trained faces whose generators bound each of its faces, and what was found."""
+    """A surface, the trained faces whose generators bound each of its faces, and the checks."""
 
     mesh: PolygonMesh
     bounds: Ints
@@ -33,10 +34,10 @@ class Written:
     faces_after_merging: int
     """Of the diagram, after merging at MERGE."""
     merged_within: float
-    """How far vertices were moved to make slivers vanish, in units of h0."""
+    """Largest distance by which vertices were moved to remove slivers, in units of h0."""
 
     def facts(self) -> dict[str, Any]:
-        """What was found, for the manifest."""
+        """Figures for the manifest."""
         return {
             "certificate": vars(self.certificate) | {"failed": list(self.certificate.failed)},
             "conformity": vars(self.conformity),
@@ -52,24 +53,26 @@ class Written:
         }
 
     def warnings(self, count: int, merge: float) -> list[str]:
-        """What the user is told of ``count`` trained faces that have no certificate."""
+        """Warnings about ``count`` trained faces that have no certificate."""
         if self.certificate.holds:
             return []
         said = []
         if self.conformity.pair_faces < count:
             said.append(
-                f"{count - self.conformity.pair_faces} of {count} trained faces have no face in "
-                "the diagram"
+                f"{count - self.conformity.pair_faces} of {count} trained faces are missing "
+                "in the written surface, since the diagram has no face between their "
+                "generators"
             )
         merged = ""
         if merge and self.merged_within:
-            merged = f", slivers merged within {self.merged_within:.3f} h0"
+            merged = f", with slivers merged within {self.merged_within:.3f} h0"
         elif merge:
-            merged = ", its slivers not merged because that would change its topology"
+            merged = ", with its slivers, since merging them would change its topology"
         said.append(
-            f"no certificate ({', '.join(self.certificate.failed)} fails): the interface of the "
-            f"generators is written{merged}, {100 * self.conformity.pair_area_share:.2f} % of its "
-            "area between pairs"
+            f"no certificate ({', '.join(self.certificate.failed)} fails): the written "
+            f"surface is the interface of the generators{merged}; "
+            f"{100 * self.conformity.pair_area_share:.2f} % of its area lies between "
+            "generator pairs"
         )
         return said
 
@@ -78,10 +81,11 @@ def written(
     trained: TrainedSurface, merge: float, threads: int,
     refused: Callable[[Certificate], None] = lambda certificate: None,
 ) -> Written:  # fmt: skip
-    """The trained faces if the certificate holds; else the interface of their generators, vertices
-    within ``merge`` of a trained one drawn to it where its topology stays (0: as it is).
+    """The trained faces if the certificate holds, else the interface of their generators.
 
-    ``refused`` is called with a certificate that does not hold, before anything else is done.
+    In the interface, vertices within ``merge`` of a trained one move to it where the topology
+    allows (0: none). ``refused`` is called with a certificate that does not hold, before anything
+    else.
     """
     certificate = trained.certificate(threads)
     if not certificate.holds:

@@ -108,7 +108,7 @@ def meshes(given: Settings) -> str:
         "",
         "",
         "CD^2 x 1e3",
-        "F1@.01",
+        "F1@0.01",
         *(f"{what} \\|H\\|" for what in ("mean", "median", "P95")),
     ]
     head += ["valid", "surface CD^2 x 1e3", "normals", "even mean \\|H\\|", "dihedral H / truth"]
@@ -126,14 +126,14 @@ def meshes(given: Settings) -> str:
     return (
         table(head, rows)
         + "\n\nLengths are in units of the bounding box's diagonal, so |H| is times the diagonal. "
-        "Two samplings of one surface have a CD^2 of the sampling floor, "
-        f"{_floors(found)} here; the surface CD^2 is from samples to the other surface and has no "
-        "floor. |H| as in the appendix is of the vertices with at least 8 others within twice the "
-        "median edge of the input, a share (valid) that falls to nothing where the input is much "
-        "finer than the surface: with few of them it says nothing. The even one is of the surface "
-        "divided to that edge. "
-        "Smooth is a dihedral H as large as the truth's, not zero. Polygons here are the written "
-        "diagram's faces, slivers merged.\n\n"
+        "Two samplings of one surface have a CD^2 equal to the sampling floor, "
+        f"{_floors(found)} here. The surface CD^2 is measured from samples to the other surface "
+        "and has no floor. |H| is that of the paper's appendix, over the vertices with at least 8 "
+        "others within twice the median edge of the input. Their share (valid) is small if the "
+        "input is much finer than the surface, and the value then means nothing. The even |H| is "
+        "that of the surface divided to that edge. A surface is smooth if its dihedral H is as "
+        "large as the truth's, not if it is zero. Polygons here are the faces of the written "
+        "diagram, with slivers merged.\n\n"
         + table(
             [
                 "shape",
@@ -224,7 +224,7 @@ def images(given: Settings) -> str:
             columns = [f"{spread(list(c), '.3g')} ({np.median(c):.3g})" for c in np.array(good).T]
             rows.append([title, f"ours ({len(good)})", *columns])
     return (
-        table(["", "", "CD^2 x 1e3, median", "F1@.01, median"], rows)
+        table(["", "", "CD^2 x 1e3, median", "F1@0.01, median"], rows)
         + f"\n\nMasks and normal maps of {given.view_size} pixels, drawn by `vorolight views`; "
         f"n = {given.view_n}, triangles. The run sees only the pictures.\n\n"
         + table(
@@ -232,7 +232,7 @@ def images(given: Settings) -> str:
                 "shape",
                 "views",
                 "CD^2 x 1e3",
-                "F1@.01",
+                "F1@0.01",
                 "sampling floor",
                 "normals",
                 "Euler number, components",

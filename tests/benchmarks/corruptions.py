@@ -168,7 +168,7 @@ def judged(
             return f"not one sentence: {done.stderr}"
         stem = path.name.split(".")[0]
         # A page is made of many manifests: of one with forged figures it names the folder.
-        forged = "a figure is missing or not as this version writes it" in done.stderr
+        forged = "a figure is missing, or has another form than this version writes" in done.stderr
         named = path.name in done.stderr or (stem and stem in done.stderr) or forged
         if not obstacle and not named:
             return f"file not named: {done.stderr}"

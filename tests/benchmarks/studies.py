@@ -64,7 +64,7 @@ def noise(given: Settings) -> str:
         name = f"noise-{path.stem}.png"
         panels.write(given.pictures / name, picture)
         texts.append(
-            f"{path.stem}: F1@.01 against the clean mesh, normal consistency, and Euler number "
+            f"{path.stem}: F1@0.01 against the clean mesh, normal consistency, and Euler number "
             f"with components.\n\n{table(head, rows)}\n\n![{path.stem}, noise from left to "
             f"right]({name})"
         )

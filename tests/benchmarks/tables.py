@@ -34,15 +34,15 @@ def page(texts: dict[str, str], given: Settings) -> str:
     said = ", ".join(path.stem for path in given.meshes)
     parts = [
         "# The paper's tables, run again",
-        "Made by `make tables`; each part alone by `make tables ONLY=name`, with the meshes of a "
-        "folder by `make tables DATA=folder`. Figures called the paper's are those of *VoroLight: "
-        "Learning Voronoi Surface Meshes via Sphere Intersection*; ours are read from the "
-        f"manifests of runs of this tool, protocol `vorolight`, n = {given.n} where no other is "
-        "said.",
-        "What differs: the paper's ten meshes of Thingi10K and twelve objects of Objaverse are not "
-        f"named, so ours are others ({said}); a comparison of rows of one table says more than "
-        "one of ours with the paper's. VoroMesh is this tool's own implementation "
-        "(`vorolight baseline voromesh`, grid 32).",
+        "`make tables` makes this page, `make tables ONLY=name` one part of it, and `make tables "
+        "DATA=folder` takes the meshes of a folder. Rows called *paper* are from *VoroLight: "
+        "Learning Voronoi Surface Meshes via Sphere Intersection*. Rows called *ours* are read "
+        f"from the manifests of runs, with protocol `vorolight` and n = {given.n} unless a part "
+        "gives another.",
+        "The paper does not name its ten meshes of Thingi10K and twelve objects of Objaverse, so "
+        f"ours are others ({said}). Compare our rows with each other rather than with the "
+        "paper's. VoroMesh is this tool's own implementation (`vorolight baseline voromesh`, "
+        "grid 32).",
     ]
     for name, (title, _) in PARTS.items():
         parts.append(f"## {title}")

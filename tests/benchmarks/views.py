@@ -1,6 +1,6 @@
 """The table of views: meshes are rendered, the pictures run, and the result compared with them.
 
-Run with ``make table-views MESHES=folder COUNT=6``. CD^2 and F1 at .01 are of 50,000 samples on
+Run with ``make table-views MESHES=folder COUNT=6``. CD^2 and F1 at 0.01 are of 50,000 samples on
 either surface, at bounding-box diagonal 1; two samplings of one surface would give the floor.
 """
 
