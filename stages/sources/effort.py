@@ -37,6 +37,9 @@ class Effort:
     """Of even triangles, shorter where the shape or a gap is thin."""
 
     triangles: int
+    """With edges no shorter than there may be."""
+    needed: int
+    """With edges as short as the thinnest parts ask for."""
     cpu_seconds: float
     memory_mb: float
     thinnest: Floats
@@ -54,14 +57,14 @@ class Effort:
 
     def refusal(self, most: int) -> str | None:
         """Why there are more than ``most`` triangles, and what to do; None if there are not."""
-        if self.triangles <= most:
+        if self.needed <= most:
             return None
         places = "; ".join(
             f"{length:.3g} at ({', '.join(f'{x:.6g}' for x in at)})"
             for length, at in zip(self.lengths, self.thinnest, strict=True)
         )
         return (
-            f"the surface needs about {self.triangles:,} triangles, more than {most:,}, because "
+            f"the surface needs about {self.needed:,} triangles, more than {most:,}, because "
             f"the shape or its gaps are thin: edges of {places}; thicken it there, or go on with "
             "--allow-poor-input and a larger --max-faces"
         )
@@ -80,9 +83,10 @@ def effort(source: Source, grid: VoxelGrid, edge: float) -> Effort:
         beside = SMALLEST * edge
         most = np.minimum(thin_lengths(vertices, triangles, points, owner, creases, beside), edge)
         lengths = np.minimum(LengthField(points, np.maximum(most, LEAST)).lengths, edge)
-        needed = np.minimum(lengths, np.maximum(most, 0.25 * LEAST))
-        area = float(triangle_normals(vertices, triangles)[1].sum())
-        count = MORE * area / CELL * float((1 / needed**2).mean())
+        # What is thinner than the least length allows asks for shorter edges all the same.
+        wanted = np.minimum(lengths, np.maximum(most, 0.25 * LEAST))
+        area = MORE * float(triangle_normals(vertices, triangles)[1].sum()) / CELL
+        count, needed = (area * float((1 / edges**2).mean()) for edges in (lengths, wanted))
         worst = distinct(points, most, np.ones(len(points), dtype=bool))
         none = frame.input_from_model(points[worst]), frame.spacing * most[worst]
     else:
@@ -90,9 +94,10 @@ def effort(source: Source, grid: VoxelGrid, edge: float) -> Effort:
             int(np.count_nonzero(np.diff(np.pad(grid.interior, 1).astype(np.int8), axis=axis)))
             for axis in range(3)
         )
-        count = sides / STEPPED / (CELL * edge**2)
+        count = needed = sides / STEPPED / (CELL * edge**2)
     return Effort(
         int(count),
+        int(needed),
         SECONDS[0] + SECONDS[1] * count,
         max(MEMORY[0], MEMORY[1] + MEMORY[2] * count),
         *none,
