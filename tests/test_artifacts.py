@@ -226,7 +226,7 @@ def test_layout_names_the_fault() -> None:
         ({"surface/face_vertices": np.array([0, 1, 3])}, "not there"),
         ({"surface/face_offsets": np.array([0, 2])}, "row index"),
         ({"vertex_distance": np.zeros(4)}, "shape"),
-        ({"vertex_distance": np.zeros(3, int)}, "has type int64"),
+        ({"vertex_distance": np.zeros(3, int)}, "holds int64"),
     ):
         with pytest.raises(ValueError, match=reason):
             layouts.check("evaluate", arrays | change)

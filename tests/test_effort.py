@@ -50,6 +50,6 @@ def test_what_takes_too_much_is_refused(tmp_path: Path, cli: Cli) -> None:
     done = cli("classify", "sphere", "-n", 25, "--max-time", 10, cwd=tmp_path)
     assert done.returncode == 3
     assert "CPU seconds" in done.stderr
-    assert "--max-time is 10: raise it, or lower -n" in done.stderr
+    assert "more than --max-time 10: raise it, or lower -n" in done.stderr
     done = cli("classify", "sphere", "-n", 6, "--max-time", 100, "--json", cwd=tmp_path)
     assert json.loads(done.stdout)["metrics"]["effort"]["cpu_seconds"] < 100

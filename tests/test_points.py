@@ -290,7 +290,7 @@ def test_too_much_noise_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", fibonacci(500))
     source = PointSource(tmp_path / "a.npy")
     source.given_noise = 1.0
-    with pytest.raises(InputError, match=r"a\.npy: a noise of 1 leaves nothing"):
+    with pytest.raises(InputError, match=r"a\.npy: a noise of 1 is too large"):
         source.bounding_box()
 
 
