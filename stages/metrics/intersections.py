@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..surface.polygons import Floats, Ints
+from ..surface.triangle_tree import DEPTH as DEEPEST
+from ..surface.triangle_tree import BoxTree
 
 DEPTH = 1e-9
 """Depth, in units of the bounding box's diagonal, from which on triangles cross.
@@ -13,18 +16,20 @@ DEPTH = 1e-9
 Corners are rounded to 1e-16 of their coordinates, and faces with more than three corners are flat
 only to that precision. A depth that is 1e7 times as large is not rounding.
 """
-MOST_CELLS = 24
-"""Largest average number of grid cells of a triangle."""
 
 
-def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
-    """The pairs ``(P, 2)`` of ``triangles (T, 3)`` that cross or overlap, smaller index first.
+def self_intersections(
+    vertices: Floats, triangles: Ints, asked: NDArray[np.bool_] | None = None
+) -> Ints:
+    """The pairs ``(P, 2)`` of ``triangles (T, 3)`` that cross or overlap, smaller index first, of
+    which at least one is ``asked (T,)`` for.
 
     Two triangles cross when an edge of one has its ends on both sides of the other, by more than
     DEPTH each, and meets it. Triangles in one plane overlap when they have area in common, so
     neighbours do that are folded flat onto each other. Triangles without area are left out.
     """
-    if len(triangles) < 2:
+    wanted = np.ones(len(triangles), dtype=bool) if asked is None else asked
+    if len(triangles) < 2 or not wanted.any():
         return np.zeros((0, 2), np.int64)
     low, high = vertices[triangles].min(axis=(0, 1)), vertices[triangles].max(axis=(0, 1))
     diagonal = float(np.linalg.norm(high - low))
@@ -32,43 +37,11 @@ def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
         return np.zeros((0, 2), np.int64)
     placed = np.ascontiguousarray((vertices - low) / diagonal)
     boxes = np.stack([placed[triangles].min(axis=1), placed[triangles].max(axis=1)], axis=1)
-    first, last, counts = _grid(boxes)
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    shape = last.max(axis=0) + 1
-    key, member = _entries(first, last, offsets, shape)
-    order = np.argsort(key, kind="stable")
-    key, member = key[order], member[order]
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(key)) + 1, [len(key)]])
+    tree = BoxTree(boxes[:, 0], boxes[:, 1])
     pairs = _crossings(
-        placed, np.ascontiguousarray(triangles), boxes, first, shape, key, member, starts
+        placed, np.ascontiguousarray(triangles), boxes, tree.order, tree.boxes, wanted
     )
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
-
-
-def _grid(boxes: Floats) -> tuple[Ints, Ints, Ints]:
-    """First and last cell ``(T, 3)`` and number of cells of each box ``(T, 2, 3)``."""
-    edge = max(1.5 * float((boxes[:, 1] - boxes[:, 0]).mean(axis=0).max()), 1e-4)
-    while True:
-        first, last = (np.floor(boxes[:, k] / edge).astype(np.int64) for k in (0, 1))
-        counts = np.prod(last - first + 1, axis=1)
-        if counts.sum() <= MOST_CELLS * len(boxes):
-            return first, last, counts
-        edge *= 1.5
-
-
-@compiled
-def _entries(first: Ints, last: Ints, offsets: Ints, shape: Ints) -> tuple[Ints, Ints]:
-    """The cell, as one integer, and the triangle of every entry of the grid."""
-    key, member = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
-    for t in range(len(first)):
-        at = offsets[t]
-        for i in range(first[t, 0], last[t, 0] + 1):
-            for j in range(first[t, 1], last[t, 1] + 1):
-                for k in range(first[t, 2], last[t, 2] + 1):
-                    key[at] = (i * shape[1] + j) * shape[2] + k
-                    member[at] = t
-                    at += 1
-    return key, member
 
 
 @compiled
@@ -76,43 +49,55 @@ def _crossings(
     vertices: Floats,
     triangles: Ints,
     boxes: Floats,
-    first: Ints,
-    shape: Ints,
-    key: Ints,
-    member: Ints,
-    starts: Ints,
+    order: Ints,
+    nodes: Floats,
+    asked: NDArray[np.bool_],
 ) -> Ints:
-    """The crossing pairs among triangles that share a cell; entries are sorted by cell."""
+    """The crossing pairs of triangles whose boxes ``(T, 2, 3)`` meet, one of each asked for; they
+    are found in a tree, whose leaves have the triangles in ``order`` and ``nodes`` have boxes."""
     found = np.empty((64, 2), np.int64)
-    count = 0
+    count, total, leaves = 0, len(order), len(nodes) // 2
     normal, solid = _normals(vertices, triangles)
-    for c in range(len(starts) - 1):
-        cell = key[starts[c]]
-        for one in range(starts[c], starts[c + 1]):
-            a = member[one]
-            if not solid[a]:
+    waiting = np.empty(DEEPEST, np.int64)
+    for a in order:
+        if not (asked[a] and solid[a]):
+            continue
+        waiting[0], left = 1, 1
+        while left:
+            left -= 1
+            node = waiting[left]
+            if not _meet(nodes[node], boxes[a]):
                 continue
-            for other in range(one + 1, starts[c + 1]):
-                b = member[other]
-                if not solid[b]:
+            if node < leaves:
+                waiting[left], waiting[left + 1] = 2 * node, 2 * node + 1
+                left += 2
+                continue
+            leaf = node - leaves
+            for i in range(leaf * total // leaves, (leaf + 1) * total // leaves):
+                b = order[i]
+                # Of two that are asked for, the first finds the pair.
+                if b == a or not solid[b] or (asked[b] and b < a):
                     continue
-                apart = False
-                home = 0
-                for k in range(3):
-                    if boxes[a, 0, k] > boxes[b, 1, k] or boxes[b, 0, k] > boxes[a, 1, k]:
-                        apart = True
-                    home = home * shape[k] + max(first[a, k], first[b, k])
-                # Only the lowest of the cells that both triangles lie in compares them.
-                if apart or home != cell:
+                if not _meet(boxes[a], boxes[b]):
                     continue
-                if _cross(vertices, triangles[a], triangles[b], normal[a], normal[b]):
+                low, high = min(a, b), max(a, b)
+                if _cross(vertices, triangles[low], triangles[high], normal[low], normal[high]):
                     if count == len(found):
                         larger = np.empty((2 * count, 2), np.int64)
                         larger[:count] = found
                         found = larger
-                    found[count, 0], found[count, 1] = min(a, b), max(a, b)
+                    found[count, 0], found[count, 1] = low, high
                     count += 1
     return found[:count]
+
+
+@compiled
+def _meet(one: Floats, other: Floats) -> bool:
+    """Whether two boxes ``(2, 3)`` have a point in common."""
+    meet = True
+    for k in range(3):
+        meet = meet and one[0, k] <= other[1, k] and other[0, k] <= one[1, k]
+    return meet
 
 
 @compiled

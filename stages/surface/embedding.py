@@ -25,11 +25,13 @@ def kept_embedded(before: Floats, after: Floats, triangles: Ints) -> Floats:
 
     Where that does not help in ROUNDS rounds all of them are put back: what was embedded stays so.
     """
-    crossing = self_intersections(after, triangles)
+    # Only triangles that move cross others anew.
+    moved = (after != before).any(axis=1)[triangles].any(axis=1)
+    crossing = self_intersections(after, triangles, moved)
     if len(crossing) == 0:
         return after
     count = len(triangles)
-    known = self_intersections(before, triangles) @ np.array([count, 1])
+    known = self_intersections(before, triangles, moved) @ np.array([count, 1])
     for rings in range(ROUNDS):
         new = crossing[~np.isin(crossing @ np.array([count, 1]), known)]
         if len(new) == 0:
@@ -39,7 +41,7 @@ def kept_embedded(before: Floats, after: Floats, triangles: Ints) -> Floats:
         for _ in range(rings):
             back[triangles[back[triangles].any(axis=1)]] = True
         after = np.where(back[:, None], before, after)
-        crossing = self_intersections(after, triangles)
+        crossing = self_intersections(after, triangles, moved)
     return before
 
 

@@ -24,26 +24,33 @@ CHUNK = 4096
 """Points that a thread takes at a time; what is found does not depend on it."""
 
 
-class TriangleTree:
-    """A balanced tree over ``triangles (T, 3)`` of ``vertices (V, 3)``, none of them without area.
+class BoxTree:
+    """A balanced tree over boxes from ``low (T, 3)`` to ``high (T, 3)``.
 
-    Boxes are halved at the median centroid along their longest side (Wald, Boulos and Shirley,
+    They are halved at the median of their middles along the longest side (Wald, Boulos and Shirley,
     "Ray tracing deformable scenes using dynamic bounding volume hierarchies", 2007).
     """
 
+    def __init__(self, low: Floats, high: Floats) -> None:
+        self.leaves = 1
+        while LEAF * self.leaves < len(low):
+            self.leaves *= 2
+        self.order: Ints = np.arange(len(low))
+        """The boxes from leaf to leaf, ``(T,)``."""
+        _arrange(self.order, low + high, self.leaves)
+        self.boxes = np.empty((2 * self.leaves, 2, 3))
+        """Of each node: the root is 1, the children of k are 2 k and 2 k + 1."""
+        _enclose(self.boxes, low[self.order], high[self.order], self.leaves)
+
+
+class TriangleTree(BoxTree):
+    """A tree over the boxes of ``triangles (T, 3)`` of ``vertices (V, 3)``."""
+
     def __init__(self, vertices: Floats, triangles: Ints, threads: int = 1) -> None:
         corners = np.ascontiguousarray(vertices, np.float64)[np.asarray(triangles, np.int64)]
+        super().__init__(corners.min(axis=1), corners.max(axis=1))
         self.threads = threads
-        count = len(corners)
-        self.leaves = 1
-        while LEAF * self.leaves < count:
-            self.leaves *= 2
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        self.order = np.arange(count)
-        _arrange(self.order, low + high, self.leaves)
         self.corners = np.ascontiguousarray(corners[self.order])
-        self.boxes = np.empty((2 * self.leaves, 2, 3))
-        _enclose(self.boxes, low[self.order], high[self.order], self.leaves)
 
     def closest(self, points: Floats) -> tuple[Floats, Ints, Floats]:
         """Squared distances ``(N,)`` of ``points (N, 3)``, the triangle that is closest to each
