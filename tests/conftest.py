@@ -4,13 +4,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
+from trials import Server
 
 from vorolight.stages.optimize.descent import Problem
 from vorolight.stages.sources.mesh import MeshSource
@@ -37,8 +38,9 @@ def _two_threads() -> None:
 
 
 @pytest.fixture(scope="session")
-def cli() -> Cli:
-    """The real command line in a process of its own."""
+def program() -> Cli:
+    """The real command line in a new process: where its start, its imports or the variables that
+    the interpreter reads are what is tested. It costs a second or two more than ``cli``."""
 
     def call(*words: object, cwd: Path, **more: Any) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "vorolight.cli", *map(str, words)]
@@ -51,11 +53,35 @@ def cli() -> Cli:
 
 
 @pytest.fixture(scope="session")
-def heart_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
+def server() -> Iterator[Server]:
+    """A process that has imported everything, and forks."""
+    with Server() as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def cli(request: pytest.FixtureRequest) -> Cli:
+    """The real command line in a process of its own: a fork, where that can be done, of one that
+    has imported everything."""
+    if not sys.platform.startswith("linux"):
+        found: Cli = request.getfixturevalue("program")
+        return found
+    forking: Server = request.getfixturevalue("server")
+
+    def call(
+        *words: object, cwd: Path, env: Mapping[str, str] | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        return forking.call(words, cwd, {**os.environ, **(env or {})})
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def heart_run(tmp_path_factory: pytest.TempPathFactory, program: Cli) -> Path:
     """The folder of a small but whole run on the heart, lamp included."""
     folder = tmp_path_factory.mktemp("heart")
     words = ["-n", 10, "--lamp", *QUICK, "--threads", 2]
-    done = cli("run", "heart", *words, cwd=folder)
+    done = program("run", "heart", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder / "heart.vorolight"
 

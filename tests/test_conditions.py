@@ -31,9 +31,8 @@ VOLUMETRIC = (*TRAINED, VOLUME)
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
-    with Server() as server:
-        yield Runs(server, tmp_path_factory.mktemp("runs"))
+def runs(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    return Runs(server, tmp_path_factory.mktemp("runs"))
 
 
 @contextmanager

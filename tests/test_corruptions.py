@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,9 +18,8 @@ import hostile
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[corruptions.Bench]:
-    with Server() as server:
-        yield corruptions.Bench(Runs(server, tmp_path_factory.mktemp("runs")))
+def bench(server: Server, tmp_path_factory: pytest.TempPathFactory) -> corruptions.Bench:
+    return corruptions.Bench(Runs(server, tmp_path_factory.mktemp("runs")))
 
 
 def test_damaged_files(bench: corruptions.Bench, capsys: pytest.CaptureFixture[str]) -> None:

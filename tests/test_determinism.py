@@ -14,7 +14,7 @@ SURROUNDINGS = (
 )  # fmt: skip
 
 
-def test_the_same_bytes_elsewhere(tmp_path: Path, cli: Cli) -> None:
+def test_the_same_bytes_elsewhere(tmp_path: Path, program: Cli) -> None:
     words = ["run", "ball.obj", "-n", 6, "--lamp", *QUICK, "--threads", 1]
     found = []
     for number, (name, umask, more) in enumerate(
@@ -25,7 +25,7 @@ def test_the_same_bytes_elsewhere(tmp_path: Path, cli: Cli) -> None:
         write_inputs(place)
         home = place.parent / "home"
         home.mkdir()
-        done = cli(*words, cwd=place, umask=umask, env={**more, "HOME": str(home)})
+        done = program(*words, cwd=place, umask=umask, env={**more, "HOME": str(home)})
         assert done.returncode == 0, done.stderr
         found.append(kept(place))
     assert differences(*found) == ""

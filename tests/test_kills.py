@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,9 +17,8 @@ import write_points
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
-    with Server() as server:
-        yield Runs(server, tmp_path_factory.mktemp("runs"))
+def runs(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    return Runs(server, tmp_path_factory.mktemp("runs"))
 
 
 @pytest.mark.parametrize("name", ["classify", "init again", "triangles"])
