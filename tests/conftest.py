@@ -2,14 +2,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cases import Runs
 from hypothesis import settings
 from trials import Server
 
@@ -77,18 +80,55 @@ def cli(request: pytest.FixtureRequest) -> Cli:
 
 
 @pytest.fixture(scope="session")
+def runs(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    """Small runs up to any stage, each made once."""
+    return Runs(server, tmp_path_factory.mktemp("runs"))
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder that ``make`` filled, once for all workers of pytest-xdist; each has a copy."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    place, done, failed = (base / f"{name}{end}" for end in ("", ".done", ".failed"))
+    try:
+        place.mkdir()
+    except FileExistsError:
+        while not done.exists():
+            assert not failed.exists(), f"{name}: another worker could not make it"
+            time.sleep(0.1)
+    else:
+        try:
+            make(place)
+        except BaseException:
+            failed.touch()
+            raise
+        done.touch()
+    return shutil.copytree(place, factory.mktemp(name), dirs_exist_ok=True)
+
+
+@pytest.fixture(scope="session")
 def heart_run(tmp_path_factory: pytest.TempPathFactory, program: Cli) -> Path:
     """The folder of a small but whole run on the heart, lamp included."""
-    folder = tmp_path_factory.mktemp("heart")
-    words = ["-n", 10, "--lamp", *QUICK, "--threads", 2]
-    done = program("run", "heart", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "heart.vorolight"
+
+    def make(folder: Path) -> None:
+        words = ["-n", 10, "--lamp", *QUICK, "--threads", 2]
+        done = program("run", "heart", *words, cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once(tmp_path_factory, "heart", make) / "heart.vorolight"
 
 
 @pytest.fixture
 def manifest(heart_run: Path) -> Callable[[str], dict[str, Any]]:
     return lambda stem: json.loads((heart_run / f"{stem}.json").read_text())
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
 
 
 def write_ply(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Path:

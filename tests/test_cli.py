@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import snapshot
 from conftest import QUICK, Cli, sphere_mesh, write_obj
 
 from vorolight.stages.artifacts.hdf5 import read
@@ -19,25 +20,6 @@ from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.topology import topology
 
 STAGES = ("classify", "init", "sphere-train", "volume", "fabricate")
-
-
-def snapshot(folder: Path) -> dict[str, bytes]:
-    """All files by their names, but the logs."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.parent.name != "logs"
-    }
-
-
-def without_volatile(files: dict[str, bytes]) -> dict[str, Any]:
-    """All files but the report, manifests less their volatile block."""
-    result: dict[str, Any] = dict(files)
-    for name in files:
-        if name.endswith(".json"):
-            result[name] = {k: v for k, v in json.loads(files[name]).items() if k != "volatile"}
-    result.pop("report.html", None)
-    return result
 
 
 def test_a_whole_run(heart_run: Path, manifest: Callable[[str], dict[str, Any]]) -> None:

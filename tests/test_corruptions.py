@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from cases import Runs, run_folder
-from trials import Server
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 
@@ -18,8 +17,8 @@ import hostile
 
 
 @pytest.fixture(scope="module")
-def bench(server: Server, tmp_path_factory: pytest.TempPathFactory) -> corruptions.Bench:
-    return corruptions.Bench(Runs(server, tmp_path_factory.mktemp("runs")))
+def bench(runs: Runs) -> corruptions.Bench:
+    return corruptions.Bench(runs)
 
 
 def test_damaged_files(bench: corruptions.Bench, capsys: pytest.CaptureFixture[str]) -> None:

@@ -39,7 +39,9 @@ def test_this_machine_is_sound_and_stays_as_it_was(tmp_path: Path, program: Cli)
     assert [path for path in cache.rglob("*") if path.is_file()] == []
 
 
-def test_broken_libraries_are_problems_and_the_other_checks_go_on(tmp_path: Path, program: Cli) -> None:
+def test_broken_libraries_are_problems_and_the_other_checks_go_on(
+    tmp_path: Path, program: Cli
+) -> None:
     (tmp_path / "manifold3d.py").write_text("raise ImportError('libsomething.so is missing')")
     (tmp_path / "igl.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGILL)")
     done = program("doctor", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})

@@ -8,17 +8,11 @@ from pathlib import Path
 
 import pytest
 from cases import Runs
-from trials import Server
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 
 import kills
 import write_points
-
-
-@pytest.fixture(scope="module")
-def runs(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Runs:
-    return Runs(server, tmp_path_factory.mktemp("runs"))
 
 
 @pytest.mark.parametrize("name", ["classify", "init again", "triangles"])
