@@ -240,27 +240,6 @@ def test_an_input_of_the_same_name_is_another_input(tmp_path: Path, cli: Cli) ->
     assert snapshot(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", [pytest.param("cube.obj", marks=pytest.mark.slow), "cube-cavity"])
-def test_flat_faces_make_no_trouble(name: str, tmp_path: Path, cli: Cli) -> None:
-    # Mirrored in a flat face, voxel centres form a lattice: the worst case for circumcentres.
-    if name == "cube.obj":
-        assert cli("sample", "cube", cwd=tmp_path).returncode == 0
-    words = ["-n", 8, "--init-iterations", 20]
-    done = cli("run", name, *words, "--until", "sphere-train", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    run = tmp_path / f"{Path(name).stem}.vorolight"
-    history = read(run / "init.h5", "init")[0]["history"]
-    # Shape (a fifth of a voxel, squared), normals, areas, centroids: none of them runs away.
-    assert history[-1, 0] < 0.04
-    assert history.max() < 2
-    record = json.loads((run / "sphere-train.json").read_text())["metrics"]
-    assert record["as_written"]["closed"]
-    assert record["certificate"]["holds"]
-    assert record["trained_topology"]["euler_number"] == (2 if name == "cube.obj" else 4)
-    done = cli("evaluate", "--samples", 2000, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-
-
 def test_a_failed_check_leaves_the_older_result(heart_run: Path, cli: Cli) -> None:
     before = snapshot(heart_run)
     program = (
