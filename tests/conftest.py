@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ QUICK = ["--init-iterations", "15", "--sphere-train-iterations", "20", "--inner"
          "--cvt-iterations", "5", "--samples", "5000", "--sides", "6",
          "--faces", "triangle"]  # fmt: skip
 Cli = Callable[..., subprocess.CompletedProcess[str]]
+AT_START = ("PYTHON", "NUMBA", "OMP", "LANG", "LC_")
+"""How the names begin of variables that are read once, at the start of a process."""
 LONG = (
     "test_lamps", "test_cli", "test_points", "test_conforming", "test_corruptions", "test_kills",
     "test_conditions", "test_spacing", "test_polygons", "test_grid", "test_cluster", "test_engine",
@@ -77,18 +79,19 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(scope="session")
-def cli(request: pytest.FixtureRequest) -> Cli:
+def cli(request: pytest.FixtureRequest, program: Cli) -> Cli:
     """The real command line in a process of its own: a fork, where that can be done, of one that
     has imported everything."""
     if not sys.platform.startswith("linux"):
-        found: Cli = request.getfixturevalue("program")
-        return found
+        return program
     forking: Server = request.getfixturevalue("server")
 
-    def call(
-        *words: object, cwd: Path, env: Mapping[str, str] | None = None
-    ) -> subprocess.CompletedProcess[str]:
-        return forking.call(words, cwd, {**os.environ, **(env or {})})
+    def call(*words: object, cwd: Path, **more: Any) -> subprocess.CompletedProcess[str]:
+        env = more.get("env", {})
+        # What is read while Python and the libraries start has no effect on a fork.
+        if more.keys() - {"env"} or any(name.startswith(AT_START) for name in env):
+            return program(*words, cwd=cwd, **more)
+        return forking.call(words, cwd, {**os.environ, **env})
 
     return call
 

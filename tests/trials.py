@@ -144,8 +144,11 @@ def _import_everything() -> None:
     import importlib
     import pkgutil
 
+    import numpy as np
+
     from vorolight import stages
     from vorolight.cli import app  # noqa: F401
+    from vorolight.stages.metrics.intersections import self_intersections
 
     for module in pkgutil.walk_packages(stages.__path__, "vorolight.stages."):
         if not module.name.endswith("_child"):
@@ -155,6 +158,9 @@ def _import_everything() -> None:
         "manifold3d", "lib3mf", "igl", "jsonschema", "referencing", "PIL.Image", "psutil", "numba",
     ):  # fmt: skip
         importlib.import_module(name)
+    # Loads the largest of the compiled loops, which would take each fork a third of a second.
+    corners = np.eye(3)
+    self_intersections(np.concatenate([corners, corners + 2]), np.arange(6).reshape(2, 3))
 
 
 def _watch(pid: int, request: dict[str, Any]) -> dict[str, Any]:
