@@ -62,7 +62,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	@touch $@
 # What the tests need includes all the rest: one installation instead of two.
 $(VENV)/tested-with: pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) -e '.[test]'
 	@touch $(VENV)/installed $@
 
