@@ -13,6 +13,9 @@ from typing import Any
 import numpy as np
 from trials import Outcome, Server
 
+ROOT = Path(__file__).parent.parent
+FOLDERS = {"cli": "vorolight_cli", "stages": "stages", "schemas": "schemas"}
+"""Where the packages of ``vorolight`` are."""
 Command = tuple[str, ...]
 """A command line without ``--threads 1``."""
 
@@ -130,6 +133,25 @@ def kept(place: Path) -> dict[str, Any]:
         else:
             found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    """All files by their names, but the logs."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.parent.name != "logs"
+    }
+
+
+def without_volatile(files: dict[str, bytes]) -> dict[str, Any]:
+    """All files but the report, manifests less their volatile block."""
+    result: dict[str, Any] = dict(files)
+    for name in files:
+        if name.endswith(".json"):
+            result[name] = {k: v for k, v in json.loads(files[name]).items() if k != "volatile"}
+    result.pop("report.html", None)
+    return result
 
 
 def differences(now: dict[str, Any], expected: dict[str, Any]) -> str:

@@ -2,15 +2,19 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cases import Runs
 from hypothesis import settings
+from trials import Server
 
 from vorolight.stages import standing
 from vorolight.stages.optimize.descent import Problem
@@ -28,6 +32,22 @@ QUICK = ["--init-iterations", "15", "--sphere-train-iterations", "20", "--inner"
          "--cvt-iterations", "5", "--samples", "5000", "--sides", "6",
          "--faces", "triangle"]  # fmt: skip
 Cli = Callable[..., subprocess.CompletedProcess[str]]
+AT_START = ("PYTHON", "NUMBA", "OMP", "LANG", "LC_")
+"""How the names begin of variables that are read once, at the start of a process."""
+LONG = (
+    "test_lamps", "test_cli", "test_points", "test_conforming", "test_corruptions", "test_kills",
+    "test_conditions", "test_spacing", "test_polygons", "test_grid", "test_cluster", "test_engine",
+    "test_rounded", "test_crease_metrics", "test_running", "test_determinism", "test_appearance",
+    "test_creases", "test_report", "test_baseline", "test_remeshing", "test_volume", "test_bunny",
+    "test_images", "test_cloud_file", "test_packages", "test_tables", "test_expression",
+)  # fmt: skip
+"""Files of tests that take long, the longest first."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first: of two workers none shall begin one when the other has nothing left."""
+    place = {name: k for k, name in enumerate(LONG)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 @pytest.fixture(autouse=True)
@@ -53,8 +73,9 @@ def commands() -> dict[str, Any]:
 
 
 @pytest.fixture(scope="session")
-def cli() -> Cli:
-    """The real command line in a process of its own."""
+def program() -> Cli:
+    """The real command line in a new process: where its start, its imports or the variables that
+    the interpreter reads are what is tested. It costs a second or two more than ``cli``."""
 
     def call(*words: object, cwd: Path, **more: Any) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "vorolight.cli", *map(str, words)]
@@ -67,18 +88,80 @@ def cli() -> Cli:
 
 
 @pytest.fixture(scope="session")
-def heart_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
+def server() -> Iterator[Server]:
+    """A process that has imported everything, and forks."""
+    with Server() as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def cli(request: pytest.FixtureRequest, program: Cli) -> Cli:
+    """The real command line in a process of its own: a fork, where that can be done, of one that
+    has imported everything."""
+    if not sys.platform.startswith("linux"):
+        return program
+    forking: Server = request.getfixturevalue("server")
+
+    def call(*words: object, cwd: Path, **more: Any) -> subprocess.CompletedProcess[str]:
+        env = more.get("env", {})
+        # What is read while Python and the libraries start has no effect on a fork.
+        if more.keys() - {"env"} or any(name.startswith(AT_START) for name in env):
+            return program(*words, cwd=cwd, **more)
+        return forking.call(words, cwd, {**os.environ, **env})
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def runs(server: Server, tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    """Small runs up to any stage, each made once."""
+    return Runs(server, tmp_path_factory.mktemp("runs"))
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder that ``make`` filled, once for all workers of pytest-xdist; each has a copy."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    place, done, failed = (base / f"{name}{end}" for end in ("", ".done", ".failed"))
+    try:
+        place.mkdir()
+    except FileExistsError:
+        while not done.exists():
+            assert not failed.exists(), f"{name}: another worker could not make it"
+            time.sleep(0.1)
+    else:
+        try:
+            make(place)
+        except BaseException:
+            failed.touch()
+            raise
+        done.touch()
+    return shutil.copytree(place, factory.mktemp(name), dirs_exist_ok=True)
+
+
+@pytest.fixture(scope="session")
+def heart_run(tmp_path_factory: pytest.TempPathFactory, program: Cli) -> Path:
     """The folder of a small but whole run on the heart, lamp included."""
-    folder = tmp_path_factory.mktemp("heart")
-    words = ["-n", 10, "--lamp", *QUICK, "--threads", 2]
-    done = cli("run", "heart", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "heart.vorolight"
+
+    def make(folder: Path) -> None:
+        words = ["-n", 10, "--lamp", *QUICK, "--threads", 2]
+        done = program("run", "heart", *words, cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return made_once(tmp_path_factory, "heart", make) / "heart.vorolight"
 
 
 @pytest.fixture
 def manifest(heart_run: Path) -> Callable[[str], dict[str, Any]]:
     return lambda stem: json.loads((heart_run / f"{stem}.json").read_text())
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
 
 
 def write_ply(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Path:

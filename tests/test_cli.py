@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import snapshot
 from conftest import QUICK, Cli, sphere_mesh, write_obj
 
 from vorolight.stages.artifacts.hdf5 import read
@@ -19,25 +20,6 @@ from vorolight.stages.surface.polygons import PolygonMesh
 from vorolight.stages.surface.topology import topology
 
 STAGES = ("classify", "init", "sphere-train", "volume", "fabricate")
-
-
-def snapshot(folder: Path) -> dict[str, bytes]:
-    """All files by their names, but the logs."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.parent.name != "logs"
-    }
-
-
-def without_volatile(files: dict[str, bytes]) -> dict[str, Any]:
-    """All files but the report, manifests less their volatile block."""
-    result: dict[str, Any] = dict(files)
-    for name in files:
-        if name.endswith(".json"):
-            result[name] = {k: v for k, v in json.loads(files[name]).items() if k != "volatile"}
-    result.pop("report.html", None)
-    return result
 
 
 def test_a_whole_run(heart_run: Path, manifest: Callable[[str], dict[str, Any]]) -> None:
@@ -256,27 +238,6 @@ def test_an_input_of_the_same_name_is_another_input(tmp_path: Path, cli: Cli) ->
     assert done.returncode == 4
     assert "contains a run of sphere, not of sphere.obj" in done.stderr
     assert snapshot(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", [pytest.param("cube.obj", marks=pytest.mark.slow), "cube-cavity"])
-def test_flat_faces_make_no_trouble(name: str, tmp_path: Path, cli: Cli) -> None:
-    # Mirrored in a flat face, voxel centres form a lattice: the worst case for circumcentres.
-    if name == "cube.obj":
-        assert cli("sample", "cube", cwd=tmp_path).returncode == 0
-    words = ["-n", 8, "--init-iterations", 20]
-    done = cli("run", name, *words, "--until", "sphere-train", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    run = tmp_path / f"{Path(name).stem}.vorolight"
-    history = read(run / "init.h5", "init")[0]["history"]
-    # Shape (a fifth of a voxel, squared), normals, areas, centroids: none of them runs away.
-    assert history[-1, 0] < 0.04
-    assert history.max() < 2
-    record = json.loads((run / "sphere-train.json").read_text())["metrics"]
-    assert record["as_written"]["closed"]
-    assert record["certificate"]["holds"]
-    assert record["trained_topology"]["euler_number"] == (2 if name == "cube.obj" else 4)
-    done = cli("evaluate", "--samples", 2000, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
 
 
 def test_a_failed_check_leaves_the_older_result(heart_run: Path, cli: Cli) -> None:

@@ -170,10 +170,10 @@ def test_bad_words(words: list[str], code: int, reason: str, runs: Path, cli: Cl
     assert done.stderr.count("\n") == 1
 
 
-def test_without_pyarrow_the_extra_is_named(runs: Path, tmp_path: Path, cli: Cli) -> None:
+def test_without_pyarrow_the_extra_is_named(runs: Path, tmp_path: Path, program: Cli) -> None:
     (tmp_path / "pyarrow.py").write_text("raise ImportError('as if it were not there')\n")
     words = ["collect", ".", "-o", str(tmp_path / "all.parquet")]
-    done = cli(*words, cwd=runs, env={"PYTHONPATH": str(tmp_path)})
+    done = program(*words, cwd=runs, env={"PYTHONPATH": str(tmp_path)})
     assert done.returncode == 69
     assert "pip install 'vorolight[cluster]'" in done.stderr
     assert not (tmp_path / "all.parquet").exists()

@@ -24,16 +24,9 @@ from cases import (
     run,
     run_folder,
 )
-from trials import Server
 
 NOBODY = 65534
 VOLUMETRIC = (*TRAINED, VOLUME)
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
-    with Server() as server:
-        yield Runs(server, tmp_path_factory.mktemp("runs"))
 
 
 @contextmanager
@@ -97,9 +90,9 @@ def check_reading(runs: Runs, place: Path, **more: bool) -> None:
         assert done.code == code, f"{words}: {done.stderr}"
         assert code == 0 or done.clean, f"{words}: {done.stderr}"
         assert kept(place) == before
-    whole = run(runs.server, ("export", "cells.vtu"), runs.copy("whole", *VOLUMETRIC))
+    whole = run(runs.server, ("export", "cells.vtu"), runs.copy("exported", *VOLUMETRIC))
     assert whole.code == 0
-    copy = runs.folder / "whole" / "work" / "cells.vtu"
+    copy = runs.folder / "exported" / "work" / "cells.vtu"
     assert (elsewhere / "cells.vtu").read_bytes() == copy.read_bytes()
 
 

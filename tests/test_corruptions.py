@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from cases import Runs, run_folder
-from trials import Server
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 
@@ -19,9 +17,8 @@ import hostile
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[corruptions.Bench]:
-    with Server() as server:
-        yield corruptions.Bench(Runs(server, tmp_path_factory.mktemp("runs")))
+def bench(runs: Runs) -> corruptions.Bench:
+    return corruptions.Bench(runs)
 
 
 def test_damaged_files(bench: corruptions.Bench, capsys: pytest.CaptureFixture[str]) -> None:

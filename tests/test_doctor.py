@@ -15,11 +15,11 @@ from vorolight.stages import doctor, installation, machine, memory
 from vorolight.stages.artifacts import atomic
 
 
-def test_this_machine_is_sound_and_stays_as_it_was(tmp_path: Path, cli: Cli) -> None:
+def test_this_machine_is_sound_and_stays_as_it_was(tmp_path: Path, program: Cli) -> None:
     cache = tmp_path / "cache"
     folder = tmp_path / "here"
     folder.mkdir()
-    done = cli("doctor", "--json", cwd=folder, env={"NUMBA_CACHE_DIR": str(cache)})
+    done = program("doctor", "--json", cwd=folder, env={"NUMBA_CACHE_DIR": str(cache)})
     assert done.returncode == 0, done.stdout
     found = {each["name"]: each for each in map(json.loads, done.stdout.splitlines())}
     assert {each["verdict"] for each in found.values()} <= {"ok", "note"}
@@ -39,10 +39,12 @@ def test_this_machine_is_sound_and_stays_as_it_was(tmp_path: Path, cli: Cli) -> 
     assert [path for path in cache.rglob("*") if path.is_file()] == []
 
 
-def test_broken_libraries_are_problems_and_the_other_checks_go_on(tmp_path: Path, cli: Cli) -> None:
+def test_broken_libraries_are_problems_and_the_other_checks_go_on(
+    tmp_path: Path, program: Cli
+) -> None:
     (tmp_path / "manifold3d.py").write_text("raise ImportError('libsomething.so is missing')")
     (tmp_path / "igl.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGILL)")
-    done = cli("doctor", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
+    done = program("doctor", cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert done.returncode == 69
     assert done.stderr.count("\n") == 1
     assert "2 problems found (distances, solids)" in done.stderr

@@ -27,16 +27,16 @@ def test_backends_give_the_same_surface(tmp_path: Path, cli: Cli) -> None:
     assert "backend shull -> scipy" in done.stdout + done.stderr
 
 
-def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
+def test_memory_is_estimated_and_kept_to(tmp_path: Path, program: Cli) -> None:
     words = ["init", "sphere", "-n", 10, "--iterations", 2, "--run", "run"]
-    done = cli(*words, "--max-memory", 0.3, cwd=tmp_path)
+    done = program(*words, "--max-memory", 0.3, cwd=tmp_path)
     assert done.returncode == 2
     assert (
         "init: needs about 0.6 GB of memory, but --max-memory allows 0.3 GB: lower -n, or raise it"
         in done.stderr
     )
     assert not (tmp_path / "run" / "init.json").exists()
-    done = cli(*words, cwd=tmp_path)
+    done = program(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "init: about 0.6 GB of memory" in done.stderr
     for stage, *words in (
@@ -45,7 +45,7 @@ def test_memory_is_estimated_and_kept_to(tmp_path: Path, cli: Cli) -> None:
         ("evaluate", "--samples", 5000),
         ("fabricate", "--sides", 6),
     ):
-        assert cli(stage, *words, "--run", "run", cwd=tmp_path).returncode == 0
+        assert program(stage, *words, "--run", "run", cwd=tmp_path).returncode == 0
     stems = ("classify", "init", "sphere-train", "volume", "evaluate-sphere-train", "fabricate")
     for stem in stems:
         found = json.loads((tmp_path / "run" / f"{stem}.json").read_text())["volatile"]

@@ -69,13 +69,13 @@ def test_views_may_be_heic_pictures(tmp_path: Path) -> None:
     np.testing.assert_array_equal(view_pictures.load(found, 1).masks, before)
 
 
-def test_without_the_library_it_is_named(tmp_path: Path, cli: Cli) -> None:
+def test_without_the_library_it_is_named(tmp_path: Path, cli: Cli, program: Cli) -> None:
     write_heic(tmp_path / "photo.heic", Image.fromarray(ramp()))
     hidden = tmp_path / "hidden"
     hidden.mkdir()
     (hidden / "pi_heif.py").write_text("raise ImportError('as if it were not there')\n")
     words = ["from-image", "photo.heic", "--generator", "json:loads", "--allow-code"]
-    done = cli(*words, cwd=tmp_path, env={"PYTHONPATH": str(hidden)})
+    done = program(*words, cwd=tmp_path, env={"PYTHONPATH": str(hidden)})
     assert done.returncode == 69
     assert done.stderr.count("\n") == 1
     assert "photo.heic" in done.stderr

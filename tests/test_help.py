@@ -43,8 +43,8 @@ def test_the_examples_are_command_lines(commands: dict[str, Any]) -> None:
             assert left == []
 
 
-def test_help_ends_with_exit_codes_and_variables(cli: Cli, tmp_path: Path) -> None:
-    done = cli("--help", cwd=tmp_path, env={"COLUMNS": "80"})
+def test_help_ends_with_exit_codes_and_variables(program: Cli, tmp_path: Path) -> None:
+    done = program("--help", cwd=tmp_path, env={"COLUMNS": "80"})
     codes, _, variables = done.stdout.partition("Exit codes:\n")[2].partition("\n\n")
     said = {int(line.split()[0]) for line in codes.splitlines()}
     assert said == {0, 1, 130, 143} | {kind.exit_code for kind in VorolightError.__subclasses__()}
@@ -69,11 +69,11 @@ def test_help_lists_every_command_in_one_panel(
     assert all(row[-1].endswith(".") and not row[-1].endswith("...") for row in rows)
 
 
-def test_help_is_there_at_once(cli: Cli, tmp_path: Path) -> None:
+def test_help_is_there_at_once(program: Cli, tmp_path: Path) -> None:
     took = []
     for _ in range(5):
         began = time.perf_counter()
-        assert cli("--help", cwd=tmp_path).returncode == 0
+        assert program("--help", cwd=tmp_path).returncode == 0
         took.append(time.perf_counter() - began)
         if took[-1] < 0.3:
             break

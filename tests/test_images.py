@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import sphere_mesh, torus_mesh, write_ply
-from test_views import edit
+from conftest import edit, sphere_mesh, torus_mesh, write_ply
 
 from vorolight.stages.errors import InputError, NumericalFailure
 from vorolight.stages.losses.images import (

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from cases import Runs
-from trials import Server
 
 sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 
 import kills
 import write_points
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
-    with Server() as server:
-        yield Runs(server, tmp_path_factory.mktemp("runs"))
 
 
 @pytest.mark.parametrize("name", ["classify", "init again", "triangles"])

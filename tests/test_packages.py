@@ -10,7 +10,7 @@ from email import message_from_bytes
 from pathlib import Path
 
 import pytest
-from test_structure import FOLDERS, ROOT
+from cases import FOLDERS, ROOT
 
 
 @pytest.fixture(scope="module")

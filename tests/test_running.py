@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cases import snapshot, without_volatile
 from conftest import Cli
-from test_cli import snapshot, without_volatile
 
 
 def test_a_running_stage_holds_the_lock(tmp_path: Path, cli: Cli) -> None:

@@ -10,13 +10,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from cases import FOLDERS, ROOT
 
 from vorolight.schemas import build
 from vorolight.stages import standing
 from vorolight.stages.contract import options
 
-ROOT = Path(__file__).parent.parent
-FOLDERS = {"cli": "vorolight_cli", "stages": "stages", "schemas": "schemas"}
 # What every layer may use: the exceptions, memory, and what makes machine code and torch ready.
 LEAVES = {"errors", "compiled", "memory", "torch_start"}
 
@@ -90,6 +89,14 @@ def test_module_names_and_sizes() -> None:
     for path in modules():
         assert path.stem not in {"utils", "common", "helpers"}
         assert len(path.read_text().splitlines()) <= 400, path
+
+
+def test_no_test_imports_a_test() -> None:
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            assert not any(name.startswith("test_") for name in names), path
 
 
 def test_every_dependency_is_pinned() -> None:

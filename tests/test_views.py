@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import random_rotation, sphere_mesh, torus_mesh, write_ply
+from conftest import edit, random_rotation, sphere_mesh, torus_mesh, write_ply
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -47,13 +46,6 @@ def copied(torus: Path, tmp_path: Path) -> Path:
     import shutil
 
     return Path(shutil.copytree(torus, tmp_path / "views"))
-
-
-def edit(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    file = folder / "transforms.json"
-    content = json.loads(file.read_text())
-    change(content)
-    file.write_text(json.dumps(content))
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

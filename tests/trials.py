@@ -1,7 +1,7 @@
-"""Hundreds of command lines, cheaply: a server has everything imported, and forks one a trial.
+"""Hundreds of command lines, cheaply: a server has everything imported, and forks one a call.
 
-The trial calls the real ``vorolight.cli.app.main``. All of them take ``--threads 1``: a process
-that never started a pool of threads can be forked.
+The fork calls the real ``vorolight.cli.app.main``. The server itself never starts a pool of
+threads, so that it can be forked; what it forks may start as many threads as it likes.
 """
 
 from __future__ import annotations
@@ -90,22 +90,38 @@ class Server:
         """
         from faults import Fault, operations
 
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         log = Path(self._folder.name) / "log"
         log.unlink(missing_ok=True)
         if fault is not None:
             more["fault"] = asdict(Fault(**{"root": str(cwd.resolve()), **fault, "log": str(log)}))
-        request = {
-            "words": [*map(str, words)], "cwd": str(cwd), "signals": sorted(signals),
-            "timeout": timeout, "out": self._folder.name, **more,
-        }  # fmt: skip
+        answer = self._ask(
+            words, cwd, signals=sorted(signals), timeout=timeout, memory=MEMORY, eager=True, **more
+        )
+        done = operations(log) if log.exists() else []
+        return Outcome(operations=done, **answer)
+
+    def call(
+        self, words: Sequence[object], cwd: Path, env: Mapping[str, str], timeout: float = 300.0
+    ) -> subprocess.CompletedProcess[str]:
+        """``vorolight *words`` as users have it: with all of ``env`` and no more, with checkpoints
+        as rare as they are, and with all the memory there is."""
+        answer = self._ask(words, cwd, env=dict(env), timeout=timeout, whole=True)
+        if answer["hung"]:
+            raise subprocess.TimeoutExpired(["vorolight", *map(str, words)], timeout)
+        return subprocess.CompletedProcess(
+            ["vorolight", *words], answer["code"], answer["stdout"], answer["stderr"]
+        )
+
+    def _ask(self, words: Sequence[object], cwd: Path, **more: Any) -> dict[str, Any]:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        request = {"words": [*map(str, words)], "cwd": str(cwd), "out": self._folder.name, **more}
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
-        answer = json.loads(self._process.stdout.readline())
-        said = ((Path(self._folder.name) / name).read_text(errors="replace") for name in ("1", "2"))
-        done = operations(log) if log.exists() else []
-        return Outcome(stdout=next(said), stderr=next(said), operations=done, **answer)
+        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+        for key, name in (("stdout", "1"), ("stderr", "2")):
+            answer[key] = (Path(self._folder.name) / name).read_text(errors="replace")
+        return answer
 
 
 def serve() -> None:
@@ -128,13 +144,12 @@ def _import_everything() -> None:
     import importlib
     import pkgutil
 
+    import numpy as np
+
     from vorolight import stages
     from vorolight.cli import app  # noqa: F401
-    from vorolight.stages.artifacts import checkpoints
+    from vorolight.stages.metrics.intersections import self_intersections
 
-    # However quick a run is, it shall write all its checkpoints.
-    assert checkpoints.COST > 0
-    checkpoints.COST = 0.0
     for module in pkgutil.walk_packages(stages.__path__, "vorolight.stages."):
         if not module.name.endswith("_child"):
             importlib.import_module(module.name)
@@ -143,6 +158,9 @@ def _import_everything() -> None:
         "manifold3d", "lib3mf", "igl", "jsonschema", "referencing", "PIL.Image", "psutil", "numba",
     ):  # fmt: skip
         importlib.import_module(name)
+    # Loads the largest of the compiled loops, which would take each fork a third of a second.
+    corners = np.eye(3)
+    self_intersections(np.concatenate([corners, corners + 2]), np.arange(6).reshape(2, 3))
 
 
 def _watch(pid: int, request: dict[str, Any]) -> dict[str, Any]:
@@ -154,7 +172,7 @@ def _watch(pid: int, request: dict[str, Any]) -> dict[str, Any]:
     def ended(after: float) -> bool:
         return bool(poll.poll(max(0.0, begun + after - time.monotonic()) * 1000))
 
-    for after, number in request["signals"]:
+    for after, number in request.get("signals", ()):
         if not ended(after):
             os.kill(pid, number)
     hung = not ended(request["timeout"])
@@ -197,10 +215,20 @@ def _call(request: dict[str, Any]) -> int:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
         os.dup2(handle, number)
     os.umask(request.get("umask", 0o022))
+    if request.get("whole"):
+        os.environ.clear()
     os.environ.update(request.get("env", {}))
     time.tzset()
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    if "memory" in request:
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        most = used + request["memory"]
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    if request.get("eager"):
+        from vorolight.stages.artifacts import checkpoints
+
+        # However quick a run is, it shall write all its checkpoints.
+        assert checkpoints.COST > 0
+        checkpoints.COST = 0.0
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if "fault" in request:
         from faults import Fault, Injector
@@ -210,6 +238,7 @@ def _call(request: dict[str, Any]) -> int:
         _drop_capabilities()
     os.chdir(request["cwd"])
     sys.argv = ["vorolight", *request["words"]]
+    sys.path[0] = request["cwd"]
     if "fault" in request:
         injector.install()
     try:
