@@ -299,6 +299,6 @@ def test_defects_of_polygons_are_faces_not_their_triangles() -> None:
     found = gates.defects(cube.with_vertices(places))
     assert len(found.crossing_faces)
     assert found.crossing_faces.max() < 6
-    assert Requirement.parse("a>=1").fault({"a": None}) == "a is not known, >= 1 is required"
+    assert Requirement.parse("a>=1").fault({"a": None}) == "a is not known, but >= 1 is required"
     with pytest.raises(UsageError):
         Requirement.parse("a")
