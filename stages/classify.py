@@ -135,6 +135,8 @@ def run(context: Context) -> Outcome:
     grid = voxels.classify(source, params.n_init, context.random, tick)
     low, high = source.bounding_box()
     thin = thin_parts(source, grid, context.threads)
+    # A surface that is known is trained from its own triangles, which lose nothing.
+    lost = None if source.topology() else thin.warning()
     needed = effort(source, grid, DEFAULTS["triangle"]["edge_length"])
     _check_effort(needed, params, str(source.path or source.name))
     return Outcome(
@@ -153,7 +155,7 @@ def run(context: Context) -> Outcome:
             "thin_parts": vars(thin),
             "effort": needed.facts(),
         },
-        warnings=source.warnings() + [said for said in [thin.warning()] if said],
+        warnings=source.warnings() + ([lost] if lost else []),
         frame={
             "unit": "input",
             "input_from_model": [[float(i == j) for j in range(4)] for i in range(4)],

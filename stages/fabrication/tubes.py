@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..surface.edits import contract_short_edges, reduce_rings
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edges
 
@@ -36,12 +37,7 @@ class TubeGraph:
     @property
     def parts(self) -> int:
         """Connected components."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        count, ends = len(self.nodes), self.tubes
-        graph = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(count, count))
-        return int(connected_components(graph, directed=False)[0])
+        return components(len(self.nodes), self.tubes)[0]
 
     @property
     def loops(self) -> int:
@@ -80,9 +76,6 @@ def tube_graph(surface: PolygonMesh, weld: float, wanted: Ints | None = None) ->
 def raised(graph: TubeGraph, floor: float, most: float) -> TubeGraph:
     """The graph with nodes above ``floor`` raised until each has a lower neighbour, so that the
     printer begins none of them in the air; a hollow that would need more than ``most`` stays."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     start, end = np.concatenate([graph.tubes, graph.tubes[:, ::-1]]).T
     height, count = graph.nodes[:, 2], len(graph.nodes)
     standing = (height <= floor) | (height == height.min())
@@ -97,10 +90,7 @@ def raised(graph: TubeGraph, floor: float, most: float) -> TubeGraph:
         filled = following
     lifted = np.isfinite(filled) & (filled > height)
     both = lifted[start] & lifted[end]
-    pairs = coo_array(
-        (np.ones(int(both.sum()), dtype=bool), (start[both], end[both])), shape=(count, count)
-    )
-    _, hollow = connected_components(pairs, directed=False)
+    _, hollow = components(count, np.stack([start[both], end[both]], axis=1))
     deepest = np.zeros(count)
     np.maximum.at(deepest, hollow[lifted], (filled - height)[lifted])
     lifted &= deepest[hollow] <= most

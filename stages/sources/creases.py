@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..surface.creases import Chain, Creases
 from ..surface.geometry import triangle_normals
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def sharp_edges(vertices: Floats, triangles: Ints, angle: float) -> tuple[Ints, 
 def chains(vertices: Floats, edges: Ints) -> list[Chain]:
     """The creases that ``edges (E, 2)`` make, between corners."""
     from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import breadth_first_order, connected_components
+    from scipy.sparse.csgraph import breadth_first_order
 
     count = len(vertices)
     edges = edges[_reaching(vertices, edges)]
@@ -129,9 +130,8 @@ def chains(vertices: Floats, edges: Ints) -> list[Chain]:
     ends = flat.reshape(-1, 2)
     size = count + len(cut)
     origin = np.concatenate([np.arange(count), edges.reshape(-1)[cut]])
-    ones = np.ones(len(ends))
-    graph = csr_array((ones, (ends[:, 0], ends[:, 1])), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
+    _, label = components(size, ends)
+    graph = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
     way = vertices[edges[:, 0]] - vertices[edges[:, 1]]
     edge = np.linalg.norm(way, axis=1)
     lengths = np.asarray(np.bincount(label[ends[:, 0]], edge, label.max() + 1), np.float64)
@@ -154,14 +154,10 @@ def chains(vertices: Floats, edges: Ints) -> list[Chain]:
 def _coarse(lengths: Floats, chain: Ints, edges: Ints, count: int) -> NDArray[np.bool_]:
     """Which chains belong to connected creases that are not mostly detail; ``lengths (C,)`` of
     all, and the ``chain (E,)`` of each edge."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
     kept = np.zeros(len(lengths), dtype=bool)
     if len(edges) == 0:
         return kept
-    graph = csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    _, label = connected_components(graph, directed=False)
+    _, label = components(count, edges)
     chains, first = np.unique(chain, return_index=True)
     group = label[edges[first, 0]]
     order = np.lexsort((lengths[chains], group))
@@ -189,14 +185,10 @@ def _around(ends: Ints, begin: int) -> Ints:
 
 def _reaching(vertices: Floats, edges: Ints) -> NDArray[np.bool_]:
     """Edges of connected creases that reach far enough."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
     count = len(vertices)
     if len(edges) == 0:
         return np.zeros(0, dtype=bool)
-    graph = csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    number, label = connected_components(graph, directed=False)
+    number, label = components(count, edges)
     low, high = np.full((number, 3), np.inf), np.full((number, 3), -np.inf)
     at = edges.reshape(-1)
     np.minimum.at(low, label[at], vertices[at])

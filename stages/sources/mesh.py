@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..surface import geometry
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import bad_edges, edges, split_pinched, topology
 from . import packed
@@ -60,14 +61,11 @@ def welded(mesh: PolygonMesh, reach: float | None = None) -> PolygonMesh:
 def _joined(mesh: PolygonMesh, loose: Ints, reach: float) -> PolygonMesh:
     """``mesh`` with those vertices ``loose (L,)`` that are within ``reach`` of each other as one;
     faces that have no area then are left out."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     at = mesh.vertices[loose]
     pairs = cKDTree(at).query_pairs(reach, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(loose),) * 2)
-    _, group = connected_components(graph, directed=False)
+    _, group = components(len(loose), pairs)
     _, first = np.unique(group, return_index=True)
     number = np.arange(mesh.vertex_count)
     number[loose] = loose[first[group]]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints
 
 
@@ -55,12 +56,8 @@ class NodeGrid:
 
 def without_specks(vertices: Floats, triangles: Ints, speck: float) -> tuple[Floats, Ints]:
     """A closed surface without the pieces whose volume is less than ``speck`` of the largest's."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
     start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
-    graph = csr_array((np.ones(len(start)), (start, end)), (len(vertices),) * 2)
-    count, part = connected_components(graph, directed=False)
+    count, part = components(len(vertices), np.stack([start, end], axis=1))
     part = part[triangles[:, 0]]
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     volume = np.bincount(part, np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..surface.creases import Chain, Creases
 from ..surface.geometry import triangle_normals
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints
 from .contouring import STEP, Crossings, crossings, triangulated
 
@@ -237,16 +238,12 @@ def _flatness(found: Crossings, normals: Floats, at: Floats, facing: Floats, ste
 
 def _kept(edges: Ints, length: Floats, flat: Floats) -> Ints:
     """Rows of the connected weak edges that are mostly strong."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
     weak = np.flatnonzero(flat > WEAK)
     if len(weak) == 0:
         return weak
-    a, b = edges[weak].T
+    a = edges[weak, 0]
     size = int(edges.max()) + 1
-    graph = csr_array((np.ones(len(weak)), (a, b)), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
+    _, label = components(size, edges[weak])
     total = np.bincount(label[a], length[weak], minlength=size)
     strong = np.bincount(label[a], length[weak] * (flat[weak] > STRONG), minlength=size)
     return np.asarray(weak[(strong > MOSTLY * total)[label[a]]])
@@ -312,12 +309,7 @@ def _nearest_other(place: Floats) -> tuple[Floats, Ints]:
 def _merged(place: Floats, degree: Ints, pairs: Ints) -> tuple[Floats, Ints]:
     """The places that connected ``pairs (K, 2)`` make, and the number of each old one; where most
     lines ended."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(place)
-    graph = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    found, label = connected_components(graph, directed=False)
+    found, label = components(len(place), pairs)
     most = np.zeros(found, dtype=np.int64)
     np.maximum.at(most, label, degree)
     counts = (degree == most[label]).astype(float)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
 from ..surface.geometry import component_volumes, fan_triangles
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.solids import solid_of
 from ..surface.thickness import searched
@@ -141,9 +142,6 @@ def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     with a common face are one. At other edges of more than two faces, as where two solids touch
     along an edge, those two belong together that have a solid between them.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     vertices, triangles = fan_triangles(mesh)[:2]
     order = np.argsort(triangles, axis=1)
     # The sign of the permutation that sorts three corners.
@@ -164,11 +162,10 @@ def parted(mesh: PolygonMesh) -> tuple[PolygonMesh, int] | None:
     ends = np.concatenate(
         [np.stack([one, following[other]], 1), np.stack([following[one], other], 1)]
     )
-    graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(len(corner),) * 2)
-    count, group = connected_components(graph, directed=False)
+    count, group = components(len(corner), ends)
     at = np.zeros(count, dtype=np.int64)
     at[group] = start
-    result = PolygonMesh.of_triangles(vertices[at], group.reshape(-1, 3).astype(np.int64))
+    result = PolygonMesh.of_triangles(vertices[at], group.reshape(-1, 3))
     if len(bad_edges(result)):
         return None
     return result, left_out

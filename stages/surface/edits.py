@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .graph import components
 from .polygons import Ints, PolygonMesh
 from .topology import edges
 
@@ -45,9 +46,6 @@ def contract_short_edges(
 
     Only edges with both ends ``movable`` do (default: all).
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     ends = edges(mesh)
     length = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
     short = length < tolerance
@@ -55,8 +53,7 @@ def contract_short_edges(
         short &= movable[ends].all(axis=1)
     ends = ends[short]
     count = mesh.vertex_count
-    graph = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, labels = connected_components(graph, directed=False)
+    _, labels = components(count, ends)
     representative = np.full(labels.max() + 1, count, dtype=np.int64)
     np.minimum.at(representative, labels, np.arange(count))
     return np.asarray(representative[labels])

@@ -9,6 +9,7 @@ import numpy as np
 
 from .edge_table import EdgeTable, Sized
 from .geometry import triangle_normals
+from .graph import components
 from .polygons import Floats, Ints
 
 if TYPE_CHECKING:
@@ -47,9 +48,6 @@ def plane_parts(mesh: Sized, table: EdgeTable, surface: NearSurface, lengths: Fl
 
     ``lengths (T,)``: the edge length at each triangle. Creases bound the parts.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count, corners = len(mesh.triangles), mesh.vertices[mesh.triangles]
     facing, _ = triangle_normals(mesh.vertices, mesh.triangles)
     foot, normal = surface.closest(corners.mean(axis=1), facing)
@@ -59,11 +57,7 @@ def plane_parts(mesh: Sized, table: EdgeTable, surface: NearSurface, lengths: Fl
     same = (turned < FLAT) & (height < FLAT * table.lengths(mesh.vertices))
     same &= np.einsum("ij,ij->i", normal[first], normal[second]) > 0
     same &= ~mesh.on_crease(table.ends)
-    pairs = coo_array(
-        (np.ones(int(same.sum()), dtype=bool), (first[same], second[same])), shape=(count, count)
-    )
-    number, label = connected_components(pairs, directed=False)
-    part = label.astype(np.int64)
+    number, part = components(count, table.triangles[same])
     sums = [np.bincount(part, column, minlength=number) for column in normal.T]
     mean = np.stack(sums, axis=1).astype(np.float64)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)

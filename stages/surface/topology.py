@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .graph import components
 from .polygons import Ints, PolygonMesh
 
 
@@ -59,22 +60,12 @@ def face_neighbours(mesh: PolygonMesh) -> Ints:
 
 def face_components(mesh: PolygonMesh) -> tuple[int, Ints]:
     """Number of edge-connected components, and the component of each face ``(F,)``."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    pairs = face_neighbours(mesh)
-    shape = (mesh.face_count, mesh.face_count)
-    graph = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])), shape=shape)
-    count, labels = connected_components(graph, directed=False)
-    return int(count), labels.astype(np.int64)
+    return components(mesh.face_count, face_neighbours(mesh))
 
 
 def corner_fans(mesh: PolygonMesh) -> tuple[int, Ints]:
     """Number of fans, and the fan of each corner ``(sum,)``: corners at one vertex are of one fan
     when a way around it leads from one to the other across edges."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     # Corners are the nodes: two are joined when they sit at the same vertex on both sides of an
     # edge. The number of joined groups at a vertex is its number of fans.
     count = len(mesh.face_vertices)
@@ -89,9 +80,7 @@ def corner_fans(mesh: PolygonMesh) -> tuple[int, Ints]:
     ordered = half_key[order]
     same = np.flatnonzero(ordered[1:] == ordered[:-1])
     rows, columns = half_corner[order[same]], half_corner[order[same + 1]]
-    graph = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(count, count))
-    fans, group = connected_components(graph, directed=False)
-    return int(fans), group.astype(np.int64)
+    return components(count, np.stack([rows, columns], axis=1))
 
 
 def pinched_vertices(mesh: PolygonMesh) -> Ints:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import NumericalFailure
 from ..surface.edits import reduce_rings
 from ..surface.geometry import fan_triangles
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from .boundary import INNER, Boundary, same_rings
 from .cleanup import settle
@@ -105,14 +106,9 @@ class PolyhedralMesh:
     @property
     def body_count(self) -> int:
         """Sets of cells that no faces connect."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
         inner = self.neighbour >= 0
-        pairs = self.owner[inner], self.neighbour[inner]
-        shape = (self.cell_count, self.cell_count)
-        graph = coo_array((np.ones(int(inner.sum()), dtype=bool), pairs), shape=shape)
-        return int(connected_components(graph, directed=False)[0])
+        pairs = np.stack([self.owner[inner], self.neighbour[inner]], axis=1)
+        return components(self.cell_count, pairs)[0]
 
     @property
     def boundary(self) -> PolygonMesh:

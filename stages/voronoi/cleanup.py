@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.edits import contract_short_edges, reduce_rings
+from ..surface.graph import components
 from ..surface.polygons import PolygonMesh
 from ..surface.topology import bad_edges, edges, pinched_vertices
 from .delaunay import Floats, Ints
@@ -131,14 +132,10 @@ def clean(
 def _joined(mesh: PolygonMesh, group: Ints) -> tuple[Ints, NDArray[np.bool_]]:
     """For each vertex the first of those of its ``group (V,)`` that edges within the group lead to,
     if there is no larger such set in the group, and itself elsewhere; which those are, ``(V,)``."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count = mesh.vertex_count
     ends = edges(mesh)
     ends = ends[(group[ends[:, 0]] == group[ends[:, 1]]) & (group[ends[:, 0]] >= 0)]
-    graph = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    parts, part = connected_components(graph, directed=False)
+    parts, part = components(count, ends)
     size = np.bincount(part, minlength=parts)
     first = np.full(parts, count, dtype=np.int64)
     np.minimum.at(first, part, np.arange(count))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..surface.geometry import face_frames
+from ..surface.graph import components
 from ..surface.polygons import Floats, Ints, PolygonMesh
 from ..surface.topology import edges
 from .cell_checks import cell_faults
@@ -83,9 +84,6 @@ def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
     In a pass every vertex moves to the nearest one at the end of an edge that is too short, so that
     two vertices of the surface are never merged.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count, fixed = mesh.faces.vertex_count, mesh.surface_vertices
     target, vertices = np.arange(count), mesh.faces.vertices.copy()
     weight = np.ones(count)
@@ -103,10 +101,7 @@ def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
         start, end, far = start[free], end[free], np.tile(length[short], 2)[free]
         order = np.lexsort([end, far, start])
         first = order[np.flatnonzero(np.diff(start[order], prepend=-1))]
-        graph = coo_array(
-            (np.ones(len(first), bool), (start[first], end[first])), shape=(count, count)
-        )
-        groups, group = connected_components(graph, directed=False)
+        groups, group = components(count, np.stack([start[first], end[first]], axis=1))
         # The smallest number is a vertex of the surface if there is one among them.
         chosen = np.full(groups, count, dtype=np.int64)
         np.minimum.at(chosen, group, np.arange(count))
