@@ -261,7 +261,7 @@ def test_texts_as_people_have_them(tmp_path: Path) -> None:
         ("a.xyz", b"0 0 0\n1 0 0 0 0\n" * 100, "2 different points"),
         ("a.xyz", b"0 0 1\n" * 300 + b"1 0 end\n", "line 301 has no numbers in columns 1, 2, 3"),
         ("a.csv", b"1,2\n" * 300, "no row of three numbers"),
-        ("a.pts", b"\x00\x01\x02" * 300, "no text"),
+        ("a.pts", b"\x00\x01\x02" * 300, "not a text file"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\n"
          b"property float y\nproperty float z\nend_header\n", "0 different points"),
     ],

@@ -159,7 +159,7 @@ def test_references_without_creases_have_none(tmp_path: Path, cli: Cli) -> None:
     assert "edge F1" not in done.stdout
     done = cli(*words, "--reference", "cube.ply", "--require", "edge_f1>=0.9", cwd=tmp_path)
     assert done.returncode == 5
-    assert "creases.edge_f1 is 0, >= 0.9 is required" in done.stderr
+    assert "creases.edge_f1 is 0, but >= 0.9 is required" in done.stderr
     assert "edge F1@0.005" in done.stdout
     found = figures(tmp_path / "ball.vorolight", "evaluate-file-ball")
     assert found["reference_creases"]["edge_f1"] == 1

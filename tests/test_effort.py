@@ -57,7 +57,7 @@ def test_what_takes_too_much_is_refused(tmp_path: Path, cli: Cli) -> None:
 
 def test_thin_parts_are_lost_only_where_no_surface_is_known(tmp_path: Path, cli: Cli) -> None:
     mesh = plate(tmp_path, 0.2)
-    field = "max(abs(x) - 5, abs(y) - 5, abs(z) - 0.1)"
+    field = "min(x**2 + y**2 + z**2 - 9, max(abs(x) - 5, abs(y) - 5, abs(z) - 0.1))"
     for words, lost in ((["classify", mesh], False), (["classify", "--field", field], True)):
         done = cli(*words, "-n", 8, "--run", f"run-{lost}", cwd=tmp_path)
         assert done.returncode == 0, done.stderr

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Cli, fibonacci, sphere_mesh
-from test_fuzz import seeds
+from input_files import seeds
 
 from vorolight.stages.errors import InputError
 from vorolight.stages.sources import cloud_file, grid_file, mesh_file, packed

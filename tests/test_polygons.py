@@ -264,7 +264,8 @@ def test_polygons_of_a_part_with_plane_sides(tmp_path: Path, cli: Cli) -> None:
     found = assert_exact(tmp_path / "box.vorolight", 0.75)
     assert found["creases"]["missed"] == found["creases"]["given_up"] == 0
     read = trimesh.load_mesh(tmp_path / "box.vorolight" / "sphere-train.ply", process=False)
-    assert read.volume == pytest.approx(120, rel=1e-6)
+    # Vertices are drawn to planes and creases by least squares, not put onto them.
+    assert read.volume == pytest.approx(120, rel=1e-5)
     bounded = cli(
         "sphere-train", "--run", "box.vorolight", "--faces", "polygon", "--polygon-share", 0.2,
         cwd=tmp_path,

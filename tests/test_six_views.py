@@ -329,7 +329,7 @@ def test_the_same_pictures_are_refused_everywhere_for_the_same_reason(
     for words in (["--background", "white"], ["--invert-masks"], ["--enclosed", "background"]):
         done = cli("classify", "sphere", "-n", 8, *words, cwd=tmp_path)
         assert done.returncode == 2
-        assert f"{words[0]}: the input is a field" in done.stderr
+        assert f"{words[0]}: needs views, but the input is of kind field" in done.stderr
 
 
 def test_inverted_masks_of_six_views(tmp_path: Path) -> None:
