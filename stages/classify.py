@@ -212,7 +212,7 @@ def _memory(context: Context) -> float:
     from .sources.points import PointSource
 
     source = context.source()
-    voxels = peak(290.0, 290.0, 0.25, float(context.params.n_init) ** 3)
+    voxels = peak(340.0, 340.0, 0.25, float(context.params.n_init) ** 3)
     if isinstance(source, PointSource):
         source.columns = context.params.columns
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
