@@ -212,7 +212,9 @@ def _memory(context: Context) -> float:
     from .sources.points import PointSource
 
     source = context.source()
-    voxels = peak(340.0, 340.0, 0.25, float(context.params.n_init) ** 3)
+    # Triangles are searched by compiled loops.
+    libraries = 340.0 if source.kind == "mesh" else 290.0
+    voxels = peak(libraries, libraries, 0.25, float(context.params.n_init) ** 3)
     if isinstance(source, PointSource):
         source.columns = context.params.columns
         return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)

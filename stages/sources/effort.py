@@ -7,14 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.creases import Creases
 from ..surface.geometry import fan_triangles, sample_triangles, triangle_normals
 from ..surface.model_frame import ModelFrame
 from ..surface.polygons import Floats
-from ..surface.sizing import LengthField
-from ..surface.spacing import CELL, LEAST, SMALLEST, distinct
-from ..surface.thickness import thin_lengths
-from .creases import ANGLE, exact
+from ..surface.sizing import CELL, LengthField
 from .mesh import TriangleSource
 from .protocol import Source
 from .voxels import VoxelGrid
@@ -75,6 +71,12 @@ def effort(source: Source, grid: VoxelGrid, edge: float) -> Effort:
     frame = ModelFrame(grid.origin, grid.spacing)
     none = np.zeros((0, 3)), np.zeros(0)
     if isinstance(source, TriangleSource) and source.open_edges == 0:
+        # What is compiled with these is large, and nothing else in stage classify needs it.
+        from ..surface.creases import Creases
+        from ..surface.spacing import LEAST, SMALLEST, distinct
+        from ..surface.thickness import thin_lengths
+        from .creases import ANGLE, exact
+
         vertices, triangles, _ = fan_triangles(source.manifold())
         vertices = frame.model_from_input(vertices)
         points, owner = sample_triangles(vertices, triangles, SAMPLES, np.random.default_rng(0))

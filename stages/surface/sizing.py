@@ -18,6 +18,8 @@ BETWEEN = 0.5
 THINNEST = 0.6
 """Edge of a voxel over the thickness that it still resolves, and of a triangle over the distance of
 two creases."""
+CELL = np.sqrt(3) / 4
+"""Area of a triangle over its squared edge length."""
 GRADATION = 0.35
 """How much the target length may grow per length."""
 NEIGHBOURS = 8

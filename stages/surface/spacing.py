@@ -14,7 +14,7 @@ from .edge_table import Sized
 from .geometry import sample_triangles, triangle_normals
 from .polygons import Floats, Ints
 from .remesh import EMBEDDED, divide, remesh, thin_out
-from .sizing import THINNEST, LengthField, evened, separation, thickness
+from .sizing import CELL, THINNEST, LengthField, evened, separation, thickness
 from .stretching import metrics
 from .thickness import thin_lengths
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 PLACES, DISTINCT = 3, 2.0
 """How many places are named, and how far apart they are, in units of h0."""
-CELL = np.sqrt(3) / 4
-"""Area of a triangle over its squared edge length."""
 SMALLEST = 0.25
 """The least length beside creases, in units of the largest, where none is asked for."""
 LEAST = 0.03
