@@ -58,7 +58,7 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
             ("Tp", 3), "i", "of the surface made of the input", optional=True, into="Vp"
         ),
         "source/whole": Layout(
-            (), "b", "whether the mesh is closed as it is and no parts cross", optional=True
+            (), "b", "whether the mesh is closed and taken as it is", optional=True
         ),
         "source/kept": Layout(("P",), "b", "points that do not lie out", optional=True),
         "source/noise": Layout(

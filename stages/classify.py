@@ -23,6 +23,7 @@ from .sphere_params import DEFAULTS
 if TYPE_CHECKING:
     from .sources.effort import Effort
     from .sources.images import ViewSource
+    from .surface.model_frame import ModelFrame
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,7 @@ def run(context: Context) -> Outcome:
     from .sources.mesh import SHEET, MeshSource
     from .sources.points import PointSource
     from .sources.thin import thin_parts
+    from .surface.model_frame import ModelFrame
 
     source = context.source()
     params = context.params
@@ -138,7 +140,8 @@ def run(context: Context) -> Outcome:
     # A surface that is known is trained from its own triangles, which lose nothing.
     lost = None if source.topology() else thin.warning()
     needed = effort(source, grid, DEFAULTS["triangle"]["edge_length"])
-    _check_effort(needed, params, str(source.path or source.name))
+    frame = ModelFrame(grid.origin, grid.spacing)
+    _check_effort(needed, params, str(source.path or source.name), frame)
     return Outcome(
         arrays={
             "origin": grid.origin,
@@ -164,9 +167,9 @@ def run(context: Context) -> Outcome:
     )
 
 
-def _check_effort(needed: Effort, params: Params, name: str) -> None:
+def _check_effort(needed: Effort, params: Params, name: str, frame: ModelFrame) -> None:
     """Raise InputError if the run would need too many triangles, or too much time."""
-    refused = needed.refusal(MAX_FACES)
+    refused = needed.refusal(MAX_FACES, frame)
     if refused is not None and not params.allow_poor_input:
         raise InputError(f"{name}: {refused}")
     if params.max_time is not None and needed.cpu_seconds > params.max_time:

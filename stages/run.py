@@ -144,14 +144,16 @@ def run(
     line prints.
     """
     lent = None
+    given = None if folder is None else Path(folder)
     if isinstance(shape, str | Path):
         source = identify(str(shape), kind)
-        place = RunFolder.locate(None if folder is None else Path(folder), source.stem)
+        place = RunFolder.locate(given, source.stem)
     else:
-        if folder is None:
+        if given is None:
             lent = tempfile.TemporaryDirectory(prefix="vorolight-")
-        place = RunFolder(Path(lent.name if lent else folder or ""))
-        source = _written(shape, place.path, kind)
+            given = Path(lent.name)
+        place = RunFolder(given)
+        source = _written(shape, given, kind)
     names = standing.stages_until(until, source.kind)
     planned = _planned(names, n, options)
     session = standing.Session(

@@ -243,12 +243,15 @@ def _outcome(
 
 
 def _memory(context: Context) -> float:
+    from .sources.effort import MEMORY
+
     # At the default edge length there are about as many triangles as faces in the first surface.
     params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0
     if not params.by_adam:
         faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2
         faces = params.faces_target or faces
-    return peak(600.0, 430.0, 30.0 if params.by_adam else 8.0, faces)
+    least, start, each = MEMORY
+    return peak(least, start, 30.0 if params.by_adam else each, faces)
 
 
 STAGE = Stage(

@@ -156,10 +156,10 @@ def test_what_would_take_too_many_triangles_is_refused_at_its_thinnest_place(
     spacing = Spacing(0.55, most=5000)
     with pytest.raises(TooManyTriangles) as caught:
         spaced(cut.vertices, cut.faces, surface, None, spacing, True)
-    assert caught.value.expected > 20_000
+    assert caught.value.demand.triangles > 20_000
     # Beside its rims, where it turns.
-    assert caught.value.lengths == pytest.approx(ROUND * 0.05, rel=0.01)
-    assert np.abs(caught.value.places[:, 2]) == pytest.approx(0.025)
+    assert caught.value.demand.lengths == pytest.approx(ROUND * 0.05, rel=0.01)
+    assert np.abs(caught.value.demand.places[:, 2]) == pytest.approx(0.025)
 
 
 def test_folds_of_a_first_surface_are_not_taken_for_thin_parts(tmp_path: Path) -> None:

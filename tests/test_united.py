@@ -9,6 +9,7 @@ import pytest
 from conftest import sphere_mesh, write_ply
 
 from vorolight.stages.export import ply
+from vorolight.stages.sources import crossing_child
 from vorolight.stages.sources.mesh import MeshSource
 from vorolight.stages.surface.geometry import enclosed_volume
 from vorolight.stages.surface.polygons import PolygonMesh
@@ -253,3 +254,13 @@ def test_what_classify_found_is_not_found_again(tmp_path: Path) -> None:
         assert np.array_equal(again.vertices, first.vertices)
         assert np.array_equal(again.triangles, first.triangles)
         assert again.topology() == first.topology()
+
+
+def test_what_no_solid_can_be_made_of_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(crossing_child, "SECONDS", 0.01)
+    source = MeshSource(write_ply(tmp_path / "eight.ply", *figure_of_eight()))
+    assert source.topology() == (0, 1)  # that of the file
+    assert source.describe()["folded_parts"] == 0
+    assert any("no solid can be made of them" in said for said in source.warnings())

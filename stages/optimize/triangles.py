@@ -235,12 +235,8 @@ def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
 
 
 def _too_many(error: TooManyTriangles, frame: ModelFrame, spacing: Spacing) -> str:
-    places = "; ".join(
-        f"edges of {frame.spacing * length:.3g} at ({', '.join(f'{x:.6g}' for x in at)})"
-        for length, at in zip(error.lengths, frame.input_from_model(error.places), strict=True)
-    )
     return (
-        f"the shape needs about {error.expected:,.0f} triangles, more than --max-faces "
-        f"{spacing.most}, since the shape or its gaps are thin: {places}; raise "
+        f"the shape needs about {error.demand.triangles:,.0f} triangles, more than --max-faces "
+        f"{spacing.most}, since the shape or its gaps are thin: {error.demand.named(frame)}; raise "
         "--max-faces, or make it thicker"
     )

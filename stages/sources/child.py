@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Arrays = Mapping[str, NDArray[np.generic]]
-SAID = 120
+SAID = 200
 """Characters of what a child said that are passed on."""
 
 
@@ -24,7 +24,8 @@ class ChildFailed(Exception):
 def in_child(module: str, given: Arrays, seconds: float) -> dict[str, NDArray[np.generic]]:
     """What ``module``, run as a program that calls ``answer``, makes of the arrays ``given``.
 
-    Raises ChildFailed if it ends with an error or takes longer than ``seconds``.
+    Raises ChildFailed with what it said if it ends with an error, and where it crashes or takes
+    longer than ``seconds``.
     """
     with tempfile.TemporaryDirectory() as folder:
         asked, found = Path(folder) / "given.npz", Path(folder) / "found.npz"
@@ -32,13 +33,15 @@ def in_child(module: str, given: Arrays, seconds: float) -> dict[str, NDArray[np
         try:
             done = subprocess.run(
                 [sys.executable, "-m", module, str(asked), str(found)],
-                capture_output=True, text=True, timeout=seconds,
+                capture_output=True, text=True, errors="replace", timeout=seconds,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise ChildFailed(f"it took longer than {seconds:g} s") from None
+        said = done.stderr.strip().splitlines()
+        if done.returncode == 1 and said:
+            raise ChildFailed(said[-1][:SAID])
         if done.returncode or not found.is_file():
-            said = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
-            raise ChildFailed(said[:SAID])
+            raise ChildFailed(f"it ended with {done.returncode}")
         with np.load(found) as arrays:
             return dict(arrays)
 

@@ -123,7 +123,8 @@ class TriangleSource(ABC):
     def welded(self) -> PolygonMesh:
         """The polygons with one vertex at every place, and the surface of their union where closed
         parts cross each other."""
-        return self.closed if self.united is None else self.united.mesh
+        found = None if self.united is None else self.united.mesh
+        return self.closed if found is None else found
 
     @cached_property
     def closed(self) -> PolygonMesh:
@@ -295,15 +296,13 @@ class MeshSource(TriangleSource):
             "welded_vertices": self.polygons.vertex_count - self.joined.vertex_count,
             "capped_openings": 0 if self.capped is None else self.capped[1],
             "walls": 0 if self.unwalled is None else self.unwalled[1],
-            "united_parts": 0 if self.united is None else self.united.crossing,
-            "buried_parts": 0 if self.united is None else self.united.buried,
-            "folded_parts": 0 if self.united is None else self.united.folded,
+            **(self.united or Union(None)).facts(),
             "sureness": round(self.sureness, 4),
         }
 
     def state(self) -> dict[str, Any]:
         asked = self.repair or self.thickness or self.hollow or self.reach is not None
-        if self.closed is self.joined and self.united is None and not asked:
+        if self.welded is self.joined and not asked:
             return {"source/whole": np.bool_(self.open_edges == 0)}
         return {"source/vertices": self.vertices, "source/triangles": self.triangles}
 
@@ -355,26 +354,8 @@ class MeshSource(TriangleSource):
                 f"{self.unwalled[1]} faces of the mesh are walls between chambers "
                 "inside: they are left out, and the space around them is solid"
             )
-        if self.united is not None and self.united.crossing:
-            said.append(
-                f"{self.united.crossing} closed parts of the mesh cross each other: they are united"
-            )
-        if self.united is not None and self.united.folded:
-            said.append(
-                "closed parts of the mesh that cross themselves: "
-                f"{self.united.folded}; they become the solid that they enclose"
-            )
-        if self.united is not None and self.united.buried:
-            taken = (
-                "every second one becomes a hollow"
-                if self.hollow
-                else "those within a solid are left out; --shells alternate makes hollows of "
-                "every second one"
-            )
-            said.append(
-                "closed parts of the mesh that lie inside others and face the same "
-                f"way: {self.united.buried}; {taken}"
-            )
+        if self.united is not None:
+            said += self.united.warnings(self.hollow)
         return said
 
     def _open_warnings(self) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from ..errors import BackendMissing
 from . import packed
+from .child import Arrays, ChildFailed, answer, in_child
 from .text_table import Table
 
 SECONDS = 300
@@ -33,28 +33,22 @@ def read(path: Path, module: str, libraries: tuple[str, ...]) -> Table:
                 "not installed: pip install 'vorolight[scans]'"
             )
     with tempfile.TemporaryDirectory() as folder:
-        given, found = path, Path(folder) / "found.npz"
+        given = path
         if packed.is_packed(path):
             given = Path(folder) / f"given{packed.ending(path)}"
             given.write_bytes(packed.content(path))
         try:
-            done = subprocess.run(
-                [sys.executable, "-m", __name__, module, str(given.resolve()), str(found)],
-                capture_output=True, text=True, errors="replace", timeout=SECONDS,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise ValueError(f"it took longer than {SECONDS} s; thin the points") from None
-        if done.returncode == 1:
-            raise ValueError((done.stderr.strip().splitlines() or ["it is damaged"])[-1])
-        if done.returncode or not found.is_file():
-            raise ValueError(f"{libraries[-1]} ended with {done.returncode}; it is damaged")
-        with np.load(found) as arrays:
-            return Table(arrays["points"], None, str(arrays["note"]))
+            words = {"module": np.array(module), "path": np.array(str(given.resolve()))}
+            found = in_child(__name__, words, SECONDS)
+        except ChildFailed as error:
+            raise ValueError(f"{error} (read by {' and '.join(libraries)})") from None
+    return Table(found["points"].astype(float), None, str(found["note"]))
 
 
-def _find(module: str, given: str, found: str) -> None:
+def _points(given: Arrays) -> Arrays:
+    reader = importlib.import_module(f".{given['module']}", __package__)
     try:
-        points, note = importlib.import_module(f".{module}", __package__).points(Path(given))
+        points, note = reader.points(Path(str(given["path"])))
     # The libraries raise whatever damaged bytes lead them to, lazrs what is no Exception, and
     # pye57 hides the error behind others.
     except BaseException as error:
@@ -62,8 +56,8 @@ def _find(module: str, given: str, found: str) -> None:
             error = error.__context__
         print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
         raise SystemExit(1) from None
-    np.savez(found, points=points, note=np.array(note))
+    return {"points": points, "note": np.array(note)}
 
 
 if __name__ == "__main__":
-    _find(*sys.argv[1:])
+    answer(_points)

@@ -27,19 +27,61 @@ SAME = 9
 
 @dataclass(frozen=True)
 class Union:
-    """A closed surface ``mesh``, how many parts cross another, how many lie within another that
-    faces the same way, and how many cross themselves."""
+    """What becomes of the closed parts of a mesh that cross or hold each other."""
 
-    mesh: PolygonMesh
-    crossing: int
-    buried: int
-    folded: int
+    mesh: PolygonMesh | None
+    """Their closed surface; None where no solid can be made of them."""
+    crossing: int = 0
+    """How many parts cross another."""
+    buried: int = 0
+    """How many lie within another that faces the same way."""
+    folded: int = 0
+    """How many cross themselves."""
+
+    def facts(self) -> dict[str, int]:
+        """For the manifest; nothing is united where there is no solid."""
+        made = self.mesh is not None
+        return {
+            "united_parts": made * self.crossing,
+            "buried_parts": made * self.buried,
+            "folded_parts": made * self.folded,
+        }
+
+    def warnings(self, hollow: bool) -> list[str]:
+        """What the user is told; ``hollow`` as for ``united``."""
+        if self.mesh is None:
+            return [
+                "closed parts of the mesh cross themselves or each other, and no solid can be made "
+                "of them: the inside is where the winding number is not 0, and the training starts "
+                "from the first Voronoi surface; --repair may help"
+            ]
+        said = []
+        if self.crossing:
+            said.append(
+                f"{self.crossing} closed parts of the mesh cross each other: they are united"
+            )
+        if self.folded:
+            said.append(
+                f"closed parts of the mesh that cross themselves: {self.folded}; they become the "
+                "solid that they enclose"
+            )
+        if self.buried:
+            taken = (
+                "every second one becomes a hollow"
+                if hollow
+                else "those within a solid are left out; --shells alternate makes hollows of every "
+                "second one"
+            )
+            said.append(
+                "closed parts of the mesh that lie inside others and face the same way: "
+                f"{self.buried}; {taken}"
+            )
+        return said
 
 
 def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
     """The union of the closed parts of ``mesh``, whose edges are all in two faces; None where each
-    is outside all others or a cavity of one and none crosses itself, or no solid can be made of
-    them.
+    is outside all others or a cavity of one and none crosses itself.
 
     A part that is turned inside out is a cavity where it lies within another that it does not
     cross; elsewhere it is taken the right way round. One within another that faces the same way
@@ -62,6 +104,7 @@ def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
     buried = depth > 0
     if len(pairs) == 0 and len(folded) == 0 and not buried.any():
         return None
+    counts = len(np.unique(pairs)), int(buried.sum()), len(folded)
     if hollow:
         volume[depth % 2 == 1] *= -1
         triangles = np.where((depth % 2 == 1)[part][:, None], triangles[:, ::-1], triangles)
@@ -76,14 +119,14 @@ def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
     for number in folded.tolist():
         whole = manifold(uncrossed(shells[number]))
         if whole is None:
-            return None
+            return Union(None, *counts)
         shells[number] = whole
     if count == 1:
-        return Union(shells[0], 0, 0, 1)
+        return Union(shells[0], *counts)
     try:
         solids = [solid_of(shell) for shell in shells]
     except NumericalFailure:
-        return None
+        return Union(None, *counts)
     outer = np.flatnonzero(volume > 0)
     outer = outer[np.argsort(volume[outer])]
     bodies = {number: solids[number] for number in outer.tolist()}
@@ -100,10 +143,7 @@ def united(mesh: PolygonMesh, hollow: bool = False) -> Union | None:
     result = PolygonMesh.of_triangles(
         np.asarray(found.vert_properties)[:, :3].copy(), np.asarray(found.tri_verts, np.int64)
     )
-    whole = manifold(result)
-    if whole is None:
-        return None
-    return Union(whole, len(np.unique(pairs)), int(buried.sum()), len(folded))
+    return Union(manifold(result), *counts)
 
 
 def _depths(

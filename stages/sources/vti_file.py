@@ -96,9 +96,9 @@ def _bytes(
     sizes, at = take(0, (3 + blocks) * width)
     found, total = [], 0
     lengths = np.frombuffer(sizes, header)[3:].astype(np.int64)
-    packed = take(at, int(lengths.sum()))[0]
+    body = take(at, int(lengths.sum()))[0]
     for length in lengths:
-        block = zlib.decompressobj().decompress(packed[total : total + length], max(usual, rest))
+        block = zlib.decompressobj().decompress(body[total : total + length], max(usual, rest))
         found.append(block)
         total += int(length)
     return b"".join(found)

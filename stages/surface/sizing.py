@@ -83,6 +83,11 @@ def _pairs(points: Floats, limit: float) -> Ints:
     return np.asarray(tree.query_pairs(limit, output_type="ndarray"))
 
 
+def triangles_of(area: float, lengths: Floats) -> float:
+    """How many triangles an ``area`` takes whose edges are ``lengths (N,)`` at even samples."""
+    return float(area / CELL * (1 / lengths**2).mean())
+
+
 class LengthField:
     """A target length at points of a surface, extended to their neighbourhood."""
 

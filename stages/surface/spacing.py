@@ -14,7 +14,15 @@ from .edge_table import Sized
 from .geometry import sample_triangles, triangle_normals
 from .polygons import Floats, Ints
 from .remesh import EMBEDDED, divide, remesh, thin_out
-from .sizing import CELL, THINNEST, LengthField, evened, separation, thickness
+from .sizing import (
+    CELL,
+    THINNEST,
+    LengthField,
+    evened,
+    separation,
+    thickness,
+    triangles_of,
+)
 from .stretching import metrics
 from .thickness import thin_lengths
 
@@ -23,6 +31,7 @@ if TYPE_CHECKING:
 
     from ..sources.true_surface import TrueSurface
     from .creases import Creases
+    from .model_frame import ModelFrame
 
     Count = Callable[[Floats], float]
 
@@ -63,13 +72,30 @@ THINNER = 1.25
 """Factor by which thin parts and gaps may get longer edges where there are not enough triangles."""
 
 
-class TooManyTriangles(Exception):
-    """The lengths take ``expected`` triangles; they are least, ``lengths (K,)``, at ``places
-    (K, 3)``, in model units."""
+@dataclass(frozen=True)
+class Demand:
+    """How many triangles the thinnest parts ask for, and where these are, in model units."""
 
-    def __init__(self, expected: float, places: Floats, lengths: Floats) -> None:
-        super().__init__(expected, places, lengths)
-        self.expected, self.places, self.lengths = expected, places, lengths
+    triangles: float
+    places: Floats
+    """Up to PLACES that ask for the shortest edges, ``(K, 3)``."""
+    lengths: Floats
+    """Those edges, ``(K,)``."""
+
+    def named(self, frame: ModelFrame) -> str:
+        """The places and edges, in the input's units."""
+        return "; ".join(
+            f"edges of {frame.spacing * length:.3g} at ({', '.join(f'{x:.6g}' for x in at)})"
+            for length, at in zip(self.lengths, frame.input_from_model(self.places), strict=True)
+        )
+
+
+class TooManyTriangles(Exception):
+    """There are more in ``demand`` than there may be."""
+
+    def __init__(self, demand: Demand) -> None:
+        super().__init__(demand)
+        self.demand = demand
 
 
 @dataclass(frozen=True)
@@ -124,9 +150,9 @@ def spaced(
         field.lengths = field.graded(np.maximum(most, shortest))
     mesh = Sized(vertices.copy(), triangles.copy(), field(vertices))
     if spacing.faces is None:
-        _check(
-            vertices, triangles, points[:plain], field.lengths[:plain], most[:plain], spacing.most
-        )
+        asked = demand(area, points[:plain], field.lengths[:plain], most[:plain])
+        if asked.triangles > spacing.most:
+            raise TooManyTriangles(asked)
     missed, embedded = 0, EMBEDDED
     if exact and creases is not None:
         missed, embedded = embed(mesh, creases), NEVER
@@ -173,7 +199,7 @@ def limits(
         most = np.minimum(
             thin_lengths(vertices, triangles, points, owner, creases, beside), longest
         )
-        faces = area.sum() / CELL * (1 / np.maximum(most, LEAST) ** 2).mean()
+        faces = triangles_of(area.sum(), np.maximum(most, LEAST))
         if count >= min(MOST_SAMPLES, PER_FACE * faces):
             break
         count = int(min(MOST_SAMPLES, 2 * PER_FACE * faces))
@@ -212,7 +238,7 @@ def _affordable(
         wanted = most.copy()
         wanted[count:] = np.maximum(wanted[count:], least)
         graded = field.graded(np.maximum(wanted, floor[0]))
-        return wanted, float(area / CELL * (1 / graded[:count] ** 2).mean())
+        return wanted, triangles_of(area, graded[:count])
 
     usual, faces = raised(floor[1])
     for least in np.geomspace(*floor, FLOORS)[:-1]:
@@ -233,18 +259,13 @@ def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
     return np.array(found, dtype=np.int64)
 
 
-def _check(
-    vertices: Floats, triangles: Ints, points: Floats, lengths: Floats, most: Floats, faces: int
-) -> None:
-    """Raise TooManyTriangles where ``lengths`` at ``points`` of the surface take more than
-    ``faces``; ``most`` are those before they were graded."""
-    area = triangle_normals(vertices, triangles)[1].sum()
-    # What is thinner than the least length allows asks for shorter edges all the same.
+def demand(area: float, points: Floats, lengths: Floats, most: Floats) -> Demand:
+    """Of a surface of that ``area`` with ``lengths (N,)`` at its ``points (N, 3)``; ``most (N,)``
+    are those before they were graded, and made no less than LEAST."""
+    # What is thinner than that asks for shorter edges all the same.
     needed = np.minimum(lengths, np.maximum(most, 0.25 * LEAST))
-    expected = float(area / CELL * (1 / needed**2).mean())
-    if expected > faces:
-        worst = distinct(points, most, np.ones(len(points), dtype=bool))
-        raise TooManyTriangles(expected, points[worst], most[worst])
+    worst = distinct(points, most, np.ones(len(points), dtype=bool))
+    return Demand(triangles_of(area, needed), points[worst], most[worst])
 
 
 def _fitted(

@@ -285,6 +285,7 @@ def _shoot(
                 first = _entry(boxes[2 * node], point, inverse, best)
                 second = _entry(boxes[2 * node + 1], point, inverse, best)
                 node *= 2
+                # As in _search: a function of its own for both takes 1.3 times as long.
                 if second < first:
                     first, second = second, first
                     node += 1
