@@ -11,8 +11,8 @@ from vorolight import schemas
 
 def stage_schema(name: str) -> dict[str, Any]:
     """The schema of the manifests of stage ``name``: the common part and its parameters."""
-    from vorolight.stages import standing
-    from vorolight.stages.contract import params_schema
+    from vorolight.stages.engine import registry
+    from vorolight.stages.engine.params import params_schema
 
     # What the others are made of, classify alone says.
     inputs = {"inputs": {"minItems": 1}} if name == "classify" else {}
@@ -24,7 +24,7 @@ def stage_schema(name: str) -> dict[str, Any]:
         "properties": {
             "schema": {"const": schemas.identifier(name)},
             "stage": {"const": name},
-            "params": params_schema(standing.get(name).params),
+            "params": params_schema(registry.get(name).params),
             **inputs,
         },
     }
@@ -35,9 +35,9 @@ def encode(schema: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    from vorolight.stages import standing
+    from vorolight.stages.engine import registry
 
-    for name in standing.ALL:
+    for name in registry.ALL:
         path = Path(__file__).parent / f"{name}.json"
         path.write_text(encode(stage_schema(name)), encoding="utf-8")
         print(path.name)

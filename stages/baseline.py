@@ -1,8 +1,9 @@
 """Stage baseline: run another published method on the same input.
 
 Example:
-    >>> from vorolight.stages import baseline, pipeline
-    >>> pipeline.execute(session, "baseline", baseline.Params("voromesh"))  # doctest: +SKIP
+    >>> from vorolight.stages import baseline
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "baseline", baseline.Params("voromesh"))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -10,15 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from . import contract, torch_start
-from .contract import Context, Outcome, Positional, Positive, Range, Stage
+from . import torch_start
+from .engine.params import Positional, Positive, Range, StageParams
+from .engine.stage import Context, Outcome, Stage
 from .errors import InputError
 from .memory import peak
 
 if TYPE_CHECKING:
     from .baselines.voromesh import CubeFrame
-    from .sources.protocol import Source
-    from .surface.polygons import Floats
+    from .inputs.source import Source
+    from .mesh.polygons import Floats
 
 SAMPLES = 150
 """Number of samples divided by the square of the grid's nodes along a side: 153,600 samples at
@@ -26,7 +28,7 @@ SAMPLES = 150
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the baseline stage."""
 
     method: Annotated[Literal["voromesh"], Positional()] = "voromesh"
@@ -57,11 +59,11 @@ def run(context: Context) -> Outcome:
     import torch
 
     from .baselines import voromesh
-    from .export import ply
+    from .formats import ply
+    from .mesh.topology import topology
     from .metrics import watertight
-    from .optimize.loop import Schedule, adam
-    from .surface.topology import topology
-    from .voronoi.interface import interface
+    from .solvers.adam import Schedule, adam
+    from .voronoi.diagram.interface import interface
 
     torch_start.start(context.threads)
     params = context.params
@@ -146,7 +148,7 @@ def _warnings(euler: int, components: int, expected: tuple[int, int] | None) -> 
 
 def _judge(context: Context) -> Source:
     """The source that decides what is inside. Raises InputError for a source without an inside."""
-    from .sources.resolve import identify
+    from .inputs.resolve import identify
 
     named = context.params.labels
     if named is None:
@@ -167,8 +169,8 @@ def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
 
     from .baselines.sampling import DRAWN, even
     from .baselines.voromesh import CubeFrame, box_of
-    from .sources.fields import FieldSource
-    from .sources.points import PointSource
+    from .inputs.field.source import FieldSource
+    from .inputs.points.source import PointSource
 
     params = context.params
     count = params.samples or SAMPLES * params.grid**2

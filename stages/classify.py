@@ -2,11 +2,13 @@
 
 Example:
     >>> from pathlib import Path
-    >>> from vorolight.stages import classify, pipeline, standing
+    >>> from vorolight.stages import classify
     >>> from vorolight.stages.artifacts.run_folder import RunFolder
-    >>> from vorolight.stages.sources.resolve import identify
-    >>> session = standing.Session(RunFolder(Path("heart.vorolight")), identify("heart"))
-    >>> result = pipeline.execute(session, "classify", classify.Params(n_init=25))  # doctest: +SKIP
+    >>> from vorolight.stages.engine.runner import execute
+    >>> from vorolight.stages.engine.session import Session
+    >>> from vorolight.stages.inputs.resolve import identify
+    >>> session = Session(RunFolder(Path("heart.vorolight")), identify("heart"))
+    >>> result = execute(session, "classify", classify.Params(n_init=25))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -14,20 +16,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
-from . import contract
-from .contract import MAX_FACES, Context, Outcome, Positive, Range, Short, Stage
+from .engine.params import Positive, Range, Short, StageParams
+from .engine.stage import Context, Outcome, Stage
 from .errors import InputError, UsageError
 from .memory import peak
-from .sphere_params import DEFAULTS
+from .sphere_train_params import DEFAULTS, MAX_FACES
 
 if TYPE_CHECKING:
-    from .sources.effort import Effort
-    from .sources.images import ViewSource
-    from .surface.model_frame import ModelFrame
+    from .inputs.effort import Effort
+    from .inputs.views.source import ViewSource
+    from .mesh.model_frame import ModelFrame
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the classify stage."""
 
     n_init: Annotated[int, Range(5, 512), Short("-n")] = 25
@@ -77,13 +79,13 @@ def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
     import numpy as np
 
-    from .sources import voxels
-    from .sources.effort import effort
-    from .sources.fields import FieldSource
-    from .sources.mesh import SHEET, MeshSource
-    from .sources.points import PointSource
-    from .sources.thin import thin_parts
-    from .surface.model_frame import ModelFrame
+    from .inputs.effort import effort
+    from .inputs.field.source import FieldSource
+    from .inputs.mesh.source import SHEET, MeshSource
+    from .inputs.points.source import PointSource
+    from .inputs.thin import thin_parts
+    from .mesh import voxels
+    from .mesh.model_frame import ModelFrame
 
     source = context.source()
     params = context.params
@@ -182,7 +184,7 @@ def _check_effort(needed: Effort, params: Params, name: str, frame: ModelFrame) 
 
 def _fit(source: ViewSource, context: Context) -> None:
     """Make the surface that stands for views, with its own progress bar."""
-    from .sources.view_fit import levels
+    from .inputs.views.fit import levels
 
     rounds = sum(level.rounds for level in levels(_told(source, context).views))
     context.progress.start("fit to the views", rounds)
@@ -200,7 +202,7 @@ def _fit(source: ViewSource, context: Context) -> None:
 
 def _told(source: ViewSource, context: Context) -> ViewSource:
     """Views with the options on how to read them. Raises UsageError for no colour."""
-    from .sources.silhouettes import Reading, parse_background
+    from .inputs.views.silhouettes import Reading, parse_background
 
     params = context.params
     source.votes, source.threads = params.mask_votes, context.threads
@@ -212,7 +214,7 @@ def _told(source: ViewSource, context: Context) -> ViewSource:
 
 
 def _memory(context: Context) -> float:
-    from .sources.points import PointSource
+    from .inputs.points.source import PointSource
 
     source = context.source()
     # Triangles are searched by compiled loops.

@@ -1,8 +1,9 @@
 """Stage evaluate: measure a surface against the input or a reference.
 
 Example:
-    >>> from vorolight.stages import evaluate, pipeline
-    >>> pipeline.execute(session, "evaluate", evaluate.Params(of="init"))  # doctest: +SKIP
+    >>> from vorolight.stages import evaluate
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "evaluate", evaluate.Params(of="init"))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from . import contract
-from .contract import Context, Outcome, Range, Stage
+from .engine.params import Range, StageParams
+from .engine.stage import Context, Outcome, Stage
 from .errors import InputError
+from .formats import packed
 from .memory import peak
-from .sources import packed
 
 if TYPE_CHECKING:
-    from .surface.polygons import Floats, Ints, PolygonMesh
+    from .mesh.polygons import Floats, Ints, PolygonMesh
 
 OTHER_UNITS, OTHER_SIZE = 5.0, 1.25
 """Largest ratio of the sizes of a surface and its reference. Above OTHER_UNITS the comparison is
@@ -26,7 +27,7 @@ refused, above OTHER_SIZE there is a warning."""
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the evaluate stage."""
 
     of: Literal["init", "sphere-train", "volume", "baseline"] = "sphere-train"
@@ -50,18 +51,18 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .artifacts.manifest import foreign
-    from .export import ply
+    from .formats import ply
+    from .inputs.field.source import FieldSource
+    from .inputs.mesh.source import MeshSource
+    from .inputs.resolve import identify
+    from .mesh import geometry
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import PolygonMesh
+    from .mesh.queries.true_surface import true_surface
+    from .mesh.topology import topology
     from .metrics import chamfer, creases, curvature, gates
     from .metrics.fidelity import fidelity
     from .metrics.protocols import PROTOCOLS
-    from .sources.fields import FieldSource
-    from .sources.mesh import MeshSource
-    from .sources.resolve import identify
-    from .sources.true_surface import true_surface
-    from .surface import geometry
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
-    from .surface.topology import topology
 
     params, threads = context.params, context.threads
     of = f"file {Path(params.surface).name}" if params.surface else params.of
@@ -195,7 +196,7 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
     """
     import numpy as np
 
-    from .sources.mesh import MeshSource
+    from .inputs.mesh.source import MeshSource
 
     own = np.stack([corners.min(axis=0), corners.max(axis=0)])
     larger = float(np.linalg.norm(own[1] - own[0]) / np.linalg.norm(box[1] - box[0]))
@@ -237,7 +238,7 @@ def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[s
     recorded = context.folder.manifest("classify")
     if recorded is None or recorded["inputs"][0]["kind"] != "views":
         return None
-    from .sources.images import ViewSource, overlaps
+    from .inputs.views.source import ViewSource, overlaps
 
     source = context.source()
     assert isinstance(source, ViewSource)
@@ -248,11 +249,11 @@ def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[s
 
 def _surface(context: Context) -> PolygonMesh:
     """The surface that is measured. Raises InputError for a file without a surface."""
-    from .surface.polygons import PolygonMesh
+    from .mesh.polygons import PolygonMesh
 
     params = context.params
     if params.surface is not None:
-        from .sources.mesh_file import load
+        from .formats.mesh_file import load
 
         return load(Path(params.surface)).polygons
     arrays = context.arrays(params.of)
@@ -267,11 +268,11 @@ def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[
     files."""
     import numpy as np
 
+    from .mesh import geometry
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import PolygonMesh
+    from .mesh.topology import topology
     from .metrics import curvature
-    from .surface import geometry
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
-    from .surface.topology import topology
     from .voronoi.conformity import conformity
     from .voronoi.trained_surface import TrainedSurface
 

@@ -2,8 +2,9 @@
 millimetres.
 
 Example:
-    >>> from vorolight.stages import fabricate, pipeline
-    >>> pipeline.execute(session, "fabricate", fabricate.Params(lamp=True))  # doctest: +SKIP
+    >>> from vorolight.stages import fabricate
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "fabricate", fabricate.Params(lamp=True))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -12,14 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .contract import Context, Outcome, Stage
+from .engine.stage import Context, Outcome, Stage
 from .errors import UsageError
 from .fabricate_params import Params, check_diameter
 from .memory import peak
 
 if TYPE_CHECKING:
     from .fabrication.lamp import Request
-    from .surface.polygons import PolygonMesh
+    from .mesh.polygons import PolygonMesh
 
 BESIDE = 10.0
 """Distance in the 3MF file between the object and its lid, in mm."""
@@ -32,9 +33,9 @@ def run(context: Context) -> Outcome:
     """
     from .fabrication import lattice, products, slicer
     from .fabrication.even_cells import even_cells
-    from .sources.resolve import recorded_up
-    from .surface.dual import dual
-    from .surface.polygons import PolygonMesh
+    from .inputs.resolve import recorded_up
+    from .mesh.dual import dual
+    from .mesh.polygons import PolygonMesh
 
     params = context.params
     if params.slice:
@@ -109,9 +110,9 @@ def _written(context: Context, made: Any, name: str) -> Outcome:
     """Files, checks and figures of a product."""
     import numpy as np
 
-    from .export import glb, obj, ply, stl, threemf
     from .fabrication import printcheck, slicer
-    from .surface.polygons import PolygonMesh
+    from .formats import glb, obj, ply, stl, threemf
+    from .mesh.polygons import PolygonMesh
 
     params = context.params
     part, low = made.part, made.part.vertices.min(axis=0)

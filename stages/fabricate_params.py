@@ -6,8 +6,7 @@ import re
 from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
-from . import contract
-from .contract import Length, Range, Share
+from .engine.params import Length, Range, Share, StageParams
 from .errors import UsageError
 
 MODES = ("lamp", "lattice", "solid", "cells")
@@ -17,7 +16,7 @@ CELLS = 15
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the fabricate stage."""
 
     lamp: bool = False

@@ -1,8 +1,9 @@
 """Stage init: fit the first Voronoi surface to the shape.
 
 Example:
-    >>> from vorolight.stages import init, pipeline
-    >>> pipeline.execute(session, "init", init.Params(iterations=60))  # doctest: +SKIP
+    >>> from vorolight.stages import init
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "init", init.Params(iterations=60))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from . import contract, torch_start
-from .contract import Context, Outcome, Positive, Range, Stage
+from . import torch_start
+from .engine.params import Positive, Range, StageParams
+from .engine.stage import Context, Outcome, Stage
 from .errors import InputError
 from .memory import peak
 
@@ -20,13 +22,13 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from .losses.images import ImageLoss
-    from .losses.shape import ShapeLoss
-    from .sources.voxels import VoxelGrid
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import Floats
-    from .surface.topology import Topology
-    from .voronoi.cleanup import CleanSurface
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import Floats
+    from .mesh.topology import Topology
+    from .mesh.voxels import VoxelGrid
+    from .training.losses.images import ImageLoss
+    from .training.losses.shape import ShapeLoss
+    from .voronoi.diagram.cleanup import CleanSurface
 
 JITTER = 1e-3
 """Standard deviation of the noise that is added to the paper's first generators, in voxels."""
@@ -61,7 +63,7 @@ paper's weights would give that up for even faces."""
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the init stage."""
 
     start: Literal["surface", "voxels"] = "surface"
@@ -97,15 +99,15 @@ def run(context: Context) -> Outcome:
     import numpy as np
     import torch
 
-    from .export import ply
-    from .losses import shape
+    from .formats import ply
+    from .mesh.model_frame import ModelFrame
+    from .mesh.topology import topology
+    from .mesh.voxels import VoxelGrid
     from .metrics import watertight
-    from .optimize.loop import Schedule, adam
-    from .sources.voxels import VoxelGrid
-    from .surface.model_frame import ModelFrame
-    from .surface.topology import topology
-    from .voronoi.cleanup import clean
-    from .voronoi.interface import interface, without_islands
+    from .solvers.adam import Schedule, adam
+    from .training.losses import shape
+    from .voronoi.diagram.cleanup import clean
+    from .voronoi.diagram.interface import interface, without_islands
 
     torch_start.start(context.threads)
     params = context.params
@@ -208,11 +210,11 @@ def surface_losses(
     """The losses of the interface of ``generators (N, 3)``, for which a new diagram is computed."""
     import torch
 
-    from .losses import regularization, shape
-    from .surface.frames import Connectivity, face_frames
-    from .voronoi.delaunay import in_passing
-    from .voronoi.rings import ring_mesh, select_interface, voronoi_rings
-    from .voronoi.vertices import voronoi_vertices
+    from .mesh.frames import Connectivity, face_frames
+    from .training.losses import regularization, shape
+    from .voronoi.diagram.delaunay import in_passing
+    from .voronoi.diagram.rings import ring_mesh, select_interface, voronoi_rings
+    from .voronoi.diagram.vertices import voronoi_vertices
 
     here = generators.detach().cpu().numpy()
     diagram = in_passing(here)
@@ -236,11 +238,11 @@ def _first_generators(
     number and components if they are known."""
     import numpy as np
 
-    from .surface.topology import topology
-    from .voronoi.cleanup import clean
-    from .voronoi.interface import interface, without_islands
-    from .voronoi.mirror import FAR, mirrored
-    from .voronoi.reflection import reflect
+    from .mesh.topology import topology
+    from .voronoi.diagram.cleanup import clean
+    from .voronoi.diagram.interface import interface, without_islands
+    from .voronoi.start.mirror import FAR, mirrored
+    from .voronoi.start.reflection import reflect
 
     source = context.source()
     expected = source.topology()

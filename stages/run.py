@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import pipeline, standing
 from .artifacts import atomic
 from .artifacts.run_folder import RunFolder
-from .contract import Params, Silent
+from .engine import registry, runner
+from .engine.params import StageParams
+from .engine.session import Session, available_threads
 from .errors import ArtifactError, Stopped, UsageError
-from .sources.resolve import Identity, identify
+from .inputs.resolve import Identity, identify
+from .progress import Silent
 
 if TYPE_CHECKING:
     from .artifacts.manifest import Manifest
-    from .surface.polygons import Floats, PolygonMesh
-    from .voronoi.cells import PolyhedralMesh
+    from .mesh.polygons import Floats, PolygonMesh
+    from .voronoi.cells.assembly import PolyhedralMesh
     from .voronoi.trained_surface import TrainedSurface
 
 Callback = Callable[[str, str, float], bool | None]
@@ -66,7 +68,7 @@ class Run:
     @cached_property
     def surface(self) -> PolygonMesh:
         """The surface of the last stage that writes one: stage sphere-train, else stage init."""
-        from .surface.polygons import PolygonMesh
+        from .mesh.polygons import PolygonMesh
 
         return PolygonMesh.from_arrays(self.arrays(self._latest), "surface/")
 
@@ -83,7 +85,7 @@ class Run:
     def trained(self) -> TrainedSurface:
         """Spheres, polygons and pairs of generators of stage sphere-train, in the units of the
         input. Raises ArtifactError if it is not done."""
-        from .surface.model_frame import ModelFrame
+        from .mesh.model_frame import ModelFrame
         from .voronoi.trained_surface import TrainedSurface
 
         return TrainedSurface.stored(self.arrays("sphere-train"), ModelFrame(np.zeros(3), 1.0))
@@ -91,7 +93,7 @@ class Run:
     @cached_property
     def cells(self) -> PolyhedralMesh:
         """The polyhedral cells of stage volume. Raises ArtifactError if it is not done."""
-        from .voronoi.cells import PolyhedralMesh
+        from .voronoi.cells.assembly import PolyhedralMesh
 
         return PolyhedralMesh.from_arrays(self.arrays("volume"))
 
@@ -99,7 +101,7 @@ class Run:
         """``surface`` as a trimesh.Trimesh; its polygons are divided into triangles."""
         import trimesh
 
-        from .surface.geometry import fan_triangles
+        from .mesh.geometry import fan_triangles
 
         vertices, triangles, _ = fan_triangles(self.surface)
         return trimesh.Trimesh(vertices, triangles, process=False)
@@ -122,7 +124,7 @@ def run(
     seed: int = 0,
     threads: int | None = None,
     progress: Callback | None = None,
-    **options: Mapping[str, Any] | Params,
+    **options: Mapping[str, Any] | StageParams,
 ) -> Run:
     """Run all stages up to ``until`` on a shape, as ``vorolight run`` does, with the same bytes.
 
@@ -154,26 +156,26 @@ def run(
             given = Path(lent.name)
         place = RunFolder(given)
         source = _written(shape, given, kind)
-    names = standing.stages_until(until, source.kind)
+    names = registry.stages_until(until, source.kind)
     planned = _planned(names, n, options)
-    session = standing.Session(
+    session = Session(
         folder=place,
         input=source,
         seed=seed,
-        threads=threads or standing.available_threads(),
+        threads=threads or available_threads(),
         progress=Silent() if progress is None else _Reported(progress),
     )
     for name in names:
         if isinstance(session.progress, _Reported):
             session.progress.stage = name
-        pipeline.execute(session, name, planned[name])
+        runner.execute(session, name, planned[name])
     return Run(place.path, lent)
 
 
 def _planned(
-    names: list[str], n: int | None, options: Mapping[str, Mapping[str, Any] | Params]
-) -> dict[str, Params]:
-    """The Params of each stage. Raises UsageError for an unknown stage or option."""
+    names: list[str], n: int | None, options: Mapping[str, Mapping[str, Any] | StageParams]
+) -> dict[str, StageParams]:
+    """The StageParams of each stage. Raises UsageError for an unknown stage or option."""
     given = {key.replace("_", "-"): value for key, value in options.items()}
     for name in given:
         if name not in names:
@@ -192,10 +194,10 @@ def _planned(
     return planned
 
 
-def _params(name: str, values: Mapping[str, Any]) -> Params:
-    from .contract import options
+def _params(name: str, values: Mapping[str, Any]) -> StageParams:
+    from .engine.params import options
 
-    stage = standing.get(name)
+    stage = registry.get(name)
     known = {option.name for option in options(stage.params)}
     unknown = sorted(set(values) - known)
     if unknown:
@@ -209,7 +211,7 @@ def _written(shape: Any, folder: Path, kind: str | None) -> Identity:
     """``shape`` as a file in the run folder."""
     mesh = _as_mesh(shape)
     if mesh is not None:
-        from .export import ply
+        from .formats import ply
 
         path, data = folder / "input.ply", ply.encode(mesh)
     else:
@@ -232,7 +234,7 @@ def _written(shape: Any, folder: Path, kind: str | None) -> Identity:
 
 def _as_mesh(shape: Any) -> PolygonMesh | None:
     """The polygons of a mesh of another library, or of ``(vertices, faces)``, if it is one."""
-    from .surface.polygons import PolygonMesh
+    from .mesh.polygons import PolygonMesh
 
     if isinstance(shape, PolygonMesh):
         return shape

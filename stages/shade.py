@@ -1,8 +1,9 @@
 """Stage shade: learn the colours of the surface from the views.
 
 Example:
-    >>> from vorolight.stages import pipeline, shade
-    >>> pipeline.execute(session, "shade", shade.Params(render="orbit"))  # doctest: +SKIP
+    >>> from vorolight.stages import shade
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "shade", shade.Params(render="orbit"))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from . import contract, torch_start
-from .contract import Context, Outcome, Positive, Range, Stage
+from . import torch_start
+from .engine.params import Positive, Range, StageParams
+from .engine.stage import Context, Outcome, Stage
 from .errors import UsageError
 from .memory import peak
 
@@ -22,10 +24,10 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from .inputs.views.source import ViewSource
+    from .mesh.polygons import Floats, Ints, PolygonMesh
     from .render.cameras import Camera
     from .render.shader import Shader
-    from .sources.images import ViewSource
-    from .surface.polygons import Floats, Ints, PolygonMesh
 
 SHARE, MOST = 0.75, 8_000
 """Share of the valid pixels of a view that a step uses, and their largest number."""
@@ -39,7 +41,7 @@ WORTH_SAYING = 0.01
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the shade stage."""
 
     iterations: Annotated[int, Range(0, 1_000_000)] = 2000
@@ -88,8 +90,8 @@ class Geometry:
         """Share of the surface, by area, that none of ``cameras`` sees."""
         import numpy as np
 
-        from .losses.images import visible
-        from .surface.geometry import triangle_areas
+        from .mesh.geometry import triangle_areas
+        from .training.losses.images import visible
 
         found = np.zeros(len(self.vertices), dtype=bool)
         for camera in cameras:
@@ -105,11 +107,11 @@ def run(context: Context) -> Outcome:
     import numpy as np
     import torch
 
-    from .optimize.loop import Schedule, adam
+    from .inputs.views.source import ViewSource
+    from .mesh.geometry import fan_triangles, vertex_normals
+    from .mesh.polygons import PolygonMesh
     from .render.shader import Shader, layers, shade
-    from .sources.images import ViewSource
-    from .surface.geometry import fan_triangles, vertex_normals
-    from .surface.polygons import PolygonMesh
+    from .solvers.adam import Schedule, adam
 
     torch_start.start(context.threads)
     params, source = context.params, context.source()
@@ -221,8 +223,8 @@ class Pixels:
     def of(self, view: int) -> tuple[Floats, Floats, Floats, NDArray[np.float32]]:
         """Points, normals, rays and colours ``(N, 3)`` of the pixels that the mask and the surface
         cover."""
+        from .inputs.views.pictures import colours
         from .render.views import COVERED
-        from .sources.view_pictures import colours
 
         if view in self.kept:
             return self.kept[view]
@@ -257,7 +259,7 @@ def baked(mesh: PolygonMesh, geometry: Geometry, shader: Shader) -> dict[str, by
     as GLB."""
     import numpy as np
 
-    from .export import glb, ply
+    from .formats import glb, ply
 
     colour = np.rint(255 * shader(geometry.vertices, geometry.normals, -geometry.normals))
     colour = colour.astype(np.uint8)

@@ -1,8 +1,9 @@
 """Stage sphere-train: train the final Voronoi surface and certify it.
 
 Example:
-    >>> from vorolight.stages import pipeline, sphere_train
-    >>> pipeline.execute(session, "sphere-train", sphere_train.Params())  # doctest: +SKIP
+    >>> from vorolight.stages import sphere_train
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "sphere-train", sphere_train.Params())  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -10,16 +11,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from . import torch_start
-from .contract import Context, Outcome, Stage
+from .engine.stage import Context, Outcome, Stage
 from .errors import NumericalFailure
 from .memory import peak
-from .sphere_params import DEFAULTS, Params
+from .sphere_train_params import DEFAULTS, Params
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import Floats
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import Floats
     from .voronoi.certificate import Certificate
     from .voronoi.trained_surface import TrainedSurface
 
@@ -50,12 +51,12 @@ def _conforming(context: Context) -> Outcome:
     """Remesh triangles and train them until they conform, then merge polygons of them."""
     import numpy as np
 
-    from .optimize.agreement import Polygons
-    from .optimize.polygons import train_polygons
-    from .optimize.refinement import Refine
-    from .optimize.triangles import resisting as where
-    from .optimize.triangles import train_triangles
-    from .surface.model_frame import ModelFrame
+    from .mesh.model_frame import ModelFrame
+    from .training.agreement import Polygons
+    from .training.polygons import train_polygons
+    from .training.refinement import Refine
+    from .training.triangles import resisting as where
+    from .training.triangles import train_triangles
     from .voronoi.trained_surface import TrainedSurface
 
     params = context.params
@@ -120,12 +121,12 @@ def _as_in_the_paper(context: Context) -> Outcome:
     """Train the initial surface as the paper does, and compute the diagram of all pairs."""
     import numpy as np
 
-    from .losses import shape
-    from .optimize.loop import Schedule
-    from .optimize.paper import train
-    from .surface.geometry import face_frames, fan_triangles
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
+    from .mesh.geometry import face_frames, fan_triangles
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import PolygonMesh
+    from .solvers.adam import Schedule
+    from .training.losses import shape
+    from .training.paper import train
     from .voronoi.pairs import label_pairs
     from .voronoi.trained_surface import TrainedSurface
 
@@ -182,12 +183,12 @@ def _outcome(
     """
     from functools import partial
 
-    from .export import ply
+    from .formats import ply
+    from .mesh.topology import topology
     from .metrics import watertight
     from .metrics.departures import departures
-    from .optimize.descent import TERMS
-    from .surface.topology import topology
-    from .voronoi.written import written
+    from .solvers.gauss_newton import TERMS
+    from .voronoi.output_surface import written
 
     params, count = context.params, trained.face_count
     merge = params.merge if params.by_adam and params.faces == "polygon" else 0.0
@@ -243,7 +244,7 @@ def _outcome(
 
 
 def _memory(context: Context) -> float:
-    from .sources.effort import MEMORY
+    from .inputs.effort import MEMORY
 
     # At the default edge length there are about as many triangles as faces in the first surface.
     params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0

@@ -1,8 +1,9 @@
 """Stage volume: fill the surface with Voronoi cells, a polyhedral mesh.
 
 Example:
-    >>> from vorolight.stages import pipeline, volume
-    >>> pipeline.execute(session, "volume", volume.Params(inner=800))  # doctest: +SKIP
+    >>> from vorolight.stages import volume
+    >>> from vorolight.stages.engine.runner import execute
+    >>> execute(session, "volume", volume.Params(inner=800))  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -10,21 +11,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from . import contract
-from .contract import Context, Outcome, Range, Share, Stage
+from .engine.params import Range, Share, StageParams
+from .engine.stage import Context, Outcome, Stage
 from .memory import peak
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .optimize.cvt import Descent, PaperDescent
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import Floats, PolygonMesh
-    from .voronoi.boundary import Boundary
-    from .voronoi.cleanup import CleanSurface
-    from .voronoi.grading import Sizes
-    from .voronoi.interface import VoronoiSurface
-    from .voronoi.interior import Guard
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import Floats, PolygonMesh
+    from .training.cvt import Descent, PaperDescent
+    from .voronoi.cells.boundary import Boundary
+    from .voronoi.cells.grading import Sizes
+    from .voronoi.cells.interior import Guard
+    from .voronoi.diagram.cleanup import CleanSurface
+    from .voronoi.diagram.interface import VoronoiSurface
 
 DEFAULT_INNER = 800
 MOST_INNER = 10_000_000
@@ -35,7 +36,7 @@ BELOW = 0.55
 
 
 @dataclass(frozen=True)
-class Params(contract.Params):
+class Params(StageParams):
     """Options of the volume stage."""
 
     inner: Annotated[int, Range(1, MOST_INNER)] | None = None
@@ -65,15 +66,15 @@ def run(context: Context) -> Outcome:
     import numpy as np
 
     from .errors import InputError, NumericalFailure, UsageError
-    from .export import vtu
+    from .formats import vtu
+    from .mesh.geometry import enclosed_volume, face_frames, fan_triangles
+    from .mesh.model_frame import ModelFrame
+    from .mesh.polygons import PolygonMesh
+    from .mesh.topology import bad_edges
     from .metrics import polyhedra
-    from .surface.geometry import enclosed_volume, face_frames, fan_triangles
-    from .surface.model_frame import ModelFrame
-    from .surface.polygons import PolygonMesh
-    from .surface.topology import bad_edges
-    from .voronoi.cells import raw_cells
-    from .voronoi.delaunay import delaunay
-    from .voronoi.slivers import merged
+    from .voronoi.cells.assembly import raw_cells
+    from .voronoi.cells.slivers import merged
+    from .voronoi.diagram.delaunay import delaunay
 
     params = context.params
     if params.spacing == 0:
@@ -225,11 +226,11 @@ def _bounded(context: Context, frame: ModelFrame, surface: PolygonMesh) -> _Boun
 
     from .artifacts.manifest import foreign
     from .errors import NumericalFailure
-    from .voronoi.boundary import Boundary
+    from .voronoi.cells.boundary import Boundary
+    from .voronoi.cells.interior import Guard
     from .voronoi.certificate import MARGIN
-    from .voronoi.cleanup import clean
-    from .voronoi.interface import interface
-    from .voronoi.interior import Guard
+    from .voronoi.diagram.cleanup import clean
+    from .voronoi.diagram.interface import interface
     from .voronoi.trained_surface import TrainedSurface
 
     trained = TrainedSurface.stored(context.arrays("sphere-train"), frame)
@@ -303,8 +304,8 @@ def _sizes(
     import numpy as np
 
     from .errors import InputError
-    from .surface.geometry import face_frames
-    from .voronoi.grading import Sizes, depths
+    from .mesh.geometry import face_frames
+    from .voronoi.cells.grading import Sizes, depths
 
     if params.spacing is None and not params.grading:
         return None, params.inner or DEFAULT_INNER
@@ -334,8 +335,8 @@ def _descend(
     context: Context, guard: Guard, count: int, sizes: Sizes | None, mean_area: float
 ) -> Descent | PaperDescent:
     """Sample inner generators and even them out; continues from the newest checkpoint."""
-    from .optimize.cvt import Descent, PaperDescent
-    from .voronoi.interior import sample
+    from .training.cvt import Descent, PaperDescent
+    from .voronoi.cells.interior import sample
 
     params, threads = context.params, context.threads
     density = sizes.density() if sizes else None

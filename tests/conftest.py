@@ -16,13 +16,13 @@ from cases import Runs
 from hypothesis import settings
 from trials import Server
 
-from vorolight.stages import standing
-from vorolight.stages.optimize.descent import Problem
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.true_surface import TrueSurface, true_surface
-from vorolight.stages.surface.geometry import face_frames
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.engine import registry
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.mesh.geometry import face_frames
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.queries.true_surface import TrueSurface, true_surface
+from vorolight.stages.solvers.gauss_newton import Problem
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 settings.register_profile("tests", deadline=None, max_examples=15, derandomize=True)
@@ -65,7 +65,7 @@ def commands() -> dict[str, Any]:
     from vorolight.cli import app
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COMP_WORDS", " ".join([*standing.ALL, "run"]))
+        patch.setenv("COMP_WORDS", " ".join([*registry.ALL, "run"]))
         app._build()
     group: Any = typer.main.get_command(app.app)
     assert len(group.commands) >= 16

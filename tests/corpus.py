@@ -195,8 +195,8 @@ def shape(index: int, n: int) -> Known:
 
 
 def _known(name: str, solid: Any) -> Known:
-    from vorolight.stages.surface.polygons import PolygonMesh
-    from vorolight.stages.surface.topology import topology
+    from vorolight.stages.mesh.polygons import PolygonMesh
+    from vorolight.stages.mesh.topology import topology
 
     mesh = solid.to_mesh64()
     vertices = np.asarray(mesh.vert_properties)[:, :3]
@@ -230,8 +230,8 @@ def run(known: Known, n: int, folder: Path, options: list[str]) -> dict[str, Any
 
 
 def write(known: Known, path: Path) -> None:
-    from vorolight.stages.export import ply
-    from vorolight.stages.surface.polygons import PolygonMesh
+    from vorolight.stages.formats import ply
+    from vorolight.stages.mesh.polygons import PolygonMesh
 
     path.write_bytes(ply.encode(PolygonMesh.of_triangles(known.vertices, known.triangles)))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from conftest import sphere_mesh
 
-from vorolight.stages.export import threemf
+from vorolight.stages.formats import threemf
 
 
 def seeds(folder: Path) -> list[Path]:

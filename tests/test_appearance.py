@@ -13,11 +13,11 @@ from conftest import Cli, sphere_mesh
 from PIL import Image
 
 from vorolight.stages.artifacts import hdf5
+from vorolight.stages.inputs.views import coloured, six_views
+from vorolight.stages.inputs.views.writer import around
 from vorolight.stages.render import drawing, image_file
 from vorolight.stages.render.shader import Shader, coded, layers, shade
 from vorolight.stages.shade import Geometry, split
-from vorolight.stages.sources import coloured, six_views
-from vorolight.stages.sources.view_writer import around
 
 
 def ball(path: Path, level: int = 4) -> Path:

@@ -30,8 +30,8 @@ from vorolight.stages.artifacts import (
 from vorolight.stages.artifacts.checkpoints import Checkpoints
 from vorolight.stages.artifacts.manifest import read as read_manifest
 from vorolight.stages.artifacts.run_folder import RunFolder
-from vorolight.stages.contract import Silent
 from vorolight.stages.errors import ArtifactError, Locked, Stopped, UsageError
+from vorolight.stages.progress import Silent
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: Any) -> None:

@@ -11,19 +11,21 @@ import numpy as np
 import pytest
 from conftest import Cli, fibonacci, sphere_mesh, write_obj, write_ply
 
-from vorolight.stages import baseline, classify, pipeline, standing
+from vorolight.stages import baseline, classify
 from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.baselines import voromesh
 from vorolight.stages.baselines.sampling import even
-from vorolight.stages.contract import Stage
+from vorolight.stages.engine import freshness, registry, runner
+from vorolight.stages.engine.session import Session
+from vorolight.stages.engine.stage import Stage
 from vorolight.stages.errors import InputError, UsageError
-from vorolight.stages.optimize.loop import Schedule
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.surface.geometry import enclosed_volume, fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
-from vorolight.stages.voronoi.interface import interface
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.mesh.geometry import enclosed_volume, fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
+from vorolight.stages.solvers.adam import Schedule
+from vorolight.stages.voronoi.diagram.interface import interface
 
 GRID = 12
 QUICK = ["-n", 8, "--grid", GRID, "--epochs", 60, "--threads", 2]
@@ -175,9 +177,9 @@ def test_same_bytes_again_and_nothing_twice(sphere: Path, tmp_path: Path, cli: C
 
 
 def test_run_leaves_the_baseline_out(tmp_path: Path) -> None:
-    assert "baseline" not in standing.ORDER
-    session = standing.Session(RunFolder(tmp_path / "run"), identify("sphere"))
-    assert "baseline" not in {state.stage.name for state in standing.overall(session)}
+    assert "baseline" not in registry.ORDER
+    session = Session(RunFolder(tmp_path / "run"), identify("sphere"))
+    assert "baseline" not in {state.stage.name for state in freshness.overall(session)}
 
 
 def test_clean_labels_for_a_noisy_cloud(tmp_path: Path) -> None:
@@ -185,12 +187,12 @@ def test_clean_labels_for_a_noisy_cloud(tmp_path: Path) -> None:
     points = fibonacci(3000) + 0.01 * np.random.default_rng(1).standard_normal((3000, 3))
     noisy = tmp_path / "noisy.xyz"
     np.savetxt(noisy, points)
-    session = standing.Session(RunFolder(tmp_path / "run"), identify(str(noisy)), threads=2)
-    pipeline.execute(session, "classify", classify.Params(n_init=6))
+    session = Session(RunFolder(tmp_path / "run"), identify(str(noisy)), threads=2)
+    runner.execute(session, "classify", classify.Params(n_init=6))
 
     def run(labels: Path) -> dict[str, Any]:
         params = baseline.Params(grid=GRID, epochs=20, labels=str(labels))
-        return pipeline.execute(session, "baseline", params).manifest
+        return runner.execute(session, "baseline", params).manifest
 
     record = run(clean)
     assert record["metrics"]["topology"]["bad_edges"] == 0

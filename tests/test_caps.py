@@ -9,11 +9,11 @@ import pytest
 import trimesh
 from conftest import random_rotation, sphere_mesh, write_ply
 
-from vorolight.stages.sources.caps import capped
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.surface.geometry import enclosed_volume, fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.inputs.mesh.caps import capped
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.mesh.geometry import enclosed_volume, fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
 
 
 def without_ends(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:

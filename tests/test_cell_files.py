@@ -15,9 +15,9 @@ import pytest
 from conftest import Cli
 
 from vorolight.cli.export import FORMATS as SHOWN
-from vorolight.stages.export.formats import FORMATS
-from vorolight.stages.surface.geometry import enclosed_volume, fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.formats.registry import FORMATS
+from vorolight.stages.mesh.geometry import enclosed_volume, fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
 
 
 @pytest.fixture(scope="module")

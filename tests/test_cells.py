@@ -9,20 +9,20 @@ import pytest
 from conftest import ball, fibonacci
 
 from vorolight.stages.errors import NumericalFailure
+from vorolight.stages.mesh import geometry
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import edges
 from vorolight.stages.metrics.polyhedra import quality
-from vorolight.stages.optimize.cvt import Descent
-from vorolight.stages.surface import geometry
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import edges
-from vorolight.stages.voronoi.boundary import Boundary
-from vorolight.stages.voronoi.cell_checks import cell_faults
-from vorolight.stages.voronoi.cells import PolyhedralMesh, contracted, raw_cells
-from vorolight.stages.voronoi.cleanup import clean
-from vorolight.stages.voronoi.delaunay import delaunay
-from vorolight.stages.voronoi.interface import interface
-from vorolight.stages.voronoi.interior import Guard, sample
-from vorolight.stages.voronoi.moments import cell_moments
-from vorolight.stages.voronoi.slivers import merged
+from vorolight.stages.training.cvt import Descent
+from vorolight.stages.voronoi.cells.assembly.assembly import PolyhedralMesh, contracted, raw_cells
+from vorolight.stages.voronoi.cells.assembly.boundary import Boundary
+from vorolight.stages.voronoi.cells.assembly.checks import cell_faults
+from vorolight.stages.voronoi.cells.assembly.interior import Guard, sample
+from vorolight.stages.voronoi.cells.assembly.moments import cell_moments
+from vorolight.stages.voronoi.cells.assembly.slivers import merged
+from vorolight.stages.voronoi.diagram.cleanup import clean
+from vorolight.stages.voronoi.diagram.delaunay import delaunay
+from vorolight.stages.voronoi.diagram.interface import interface
 
 
 def cells_of(points: np.ndarray, labels: np.ndarray) -> tuple[PolyhedralMesh, PolygonMesh]:

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.errors import NumericalFailure
-from vorolight.stages.export import ply
+from vorolight.stages.formats import ply
+from vorolight.stages.mesh.edge_table import Sized
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
 from vorolight.stages.metrics.watertight import as_written
-from vorolight.stages.optimize.spheres import Spheres
-from vorolight.stages.surface.edge_table import Sized
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.training.spheres import Spheres
 from vorolight.stages.voronoi.certificate import Certificate, certify
 
 

@@ -16,8 +16,8 @@ from cases import snapshot
 from conftest import QUICK, Cli, sphere_mesh, write_obj
 
 from vorolight.stages.artifacts.hdf5 import read
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
 
 STAGES = ("classify", "init", "sphere-train", "volume", "fabricate")
 

@@ -11,9 +11,9 @@ import pytest
 from conftest import Cli, fibonacci
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import cloud_file
-from vorolight.stages.sources.points import PointSource
-from vorolight.stages.sources.resolve import identify, kind_of
+from vorolight.stages.formats import cloud_file
+from vorolight.stages.inputs.points.source import PointSource
+from vorolight.stages.inputs.resolve import identify, kind_of
 
 
 def write_expe(path: Path, points: np.ndarray, normals: np.ndarray) -> None:

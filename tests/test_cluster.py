@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
 import ways
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import shape_list
+from vorolight.stages.inputs import shape_list
 
 needs_bash = pytest.mark.skipif(os.name == "nt", reason="Slurm runs on systems that have bash")
 ODD = 'my "odd" sh\'ape $(x).ply'

@@ -10,8 +10,8 @@ import pytest
 from conftest import Cli
 
 from vorolight.stages.errors import InputError, UsageError
-from vorolight.stages.sources.code import file_of, is_code
-from vorolight.stages.sources.resolve import identify, identify_field
+from vorolight.stages.inputs.field.code import file_of, is_code
+from vorolight.stages.inputs.resolve import identify, identify_field
 
 BALL = "def ball(x, y, z, xp):\n    return xp.sqrt(x * x + y * y + z * z) - {}\n"
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from conftest import Cli, sphere_mesh, write_ply
 
-from vorolight.stages import collection
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine import collection
 
 
 @pytest.fixture(scope="module")

@@ -20,21 +20,23 @@ from conftest import (
     write_ply,
 )
 
-from vorolight.stages import classify, init, pipeline, sphere_train, standing
+from vorolight.stages import classify, init, sphere_train
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine import runner
+from vorolight.stages.engine.session import Session
 from vorolight.stages.errors import NumericalFailure
-from vorolight.stages.losses import conforming
-from vorolight.stages.optimize import conforming as conforming_training
-from vorolight.stages.optimize.descent import descend, first_damping
-from vorolight.stages.optimize.sphere_problem import SphereProblem
-from vorolight.stages.optimize.spheres import Spheres
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.surface import geometry
-from vorolight.stages.surface.creases import Chain, Creases
-from vorolight.stages.surface.dual import dual
-from vorolight.stages.surface.edge_table import Sized
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import split_pinched, topology
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.mesh import geometry
+from vorolight.stages.mesh.creases import Chain, Creases
+from vorolight.stages.mesh.dual import dual
+from vorolight.stages.mesh.edge_table import Sized
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import split_pinched, topology
+from vorolight.stages.solvers.gauss_newton import descend, first_damping
+from vorolight.stages.training import conforming as conforming_training
+from vorolight.stages.training.losses import triangle_pairs as conforming
+from vorolight.stages.training.sphere_problem import SphereProblem
+from vorolight.stages.training.spheres import Spheres
 
 
 def test_pairs_lie_on_the_three_spheres_of_their_face() -> None:
@@ -242,11 +244,11 @@ def test_without_a_certificate_training_ends_with_the_places(
 ) -> None:
     monkeypatch.setattr(conforming_training, "ROUNDS", 0)
     path = write_ply(tmp_path / "ring.ply", *torus_mesh(1.0, 0.3, 40, 16))
-    session = standing.Session(RunFolder(tmp_path / "ring.vorolight"), identify(str(path)))
-    pipeline.execute(session, "classify", classify.Params(n_init=8))
-    pipeline.execute(session, "init", init.Params(iterations=0))
+    session = Session(RunFolder(tmp_path / "ring.vorolight"), identify(str(path)))
+    runner.execute(session, "classify", classify.Params(n_init=8))
+    runner.execute(session, "init", init.Params(iterations=0))
     with pytest.raises(NumericalFailure, match=r"no certificate .* worst at \(.* thick") as caught:
-        pipeline.execute(session, "sphere-train", sphere_train.Params(iterations=0))
+        runner.execute(session, "sphere-train", sphere_train.Params(iterations=0))
     places = re.findall(r"\(([-\d.e]+), ([-\d.e]+), ([-\d.e]+)\)", str(caught.value))
     assert 1 <= len(places) <= 3
     around = np.array(places, float)
@@ -254,7 +256,7 @@ def test_without_a_certificate_training_ends_with_the_places(
     assert np.abs(off).max() < 0.05
     assert not (tmp_path / "ring.vorolight" / "sphere-train.json").exists()
     params = sphere_train.Params(iterations=0, allow_uncertified=True)
-    done = pipeline.execute(session, "sphere-train", params).manifest
+    done = runner.execute(session, "sphere-train", params).manifest
     assert not done["metrics"]["certificate"]["holds"]
     assert any("no certificate" in warning for warning in done["warnings"])
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
 
 
 @settings(max_examples=20, deadline=None)

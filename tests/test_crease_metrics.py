@@ -12,11 +12,11 @@ import pytest
 from conftest import Cli, random_rotation, sphere_mesh
 
 from vorolight.stages.artifacts.hdf5 import read
-from vorolight.stages.export import ply
+from vorolight.stages.formats import ply
+from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.metrics import creases, curvature
 from vorolight.stages.metrics.creases import SHARP, STEP, TOLERANCE, Segments
 from vorolight.stages.report import quality
-from vorolight.stages.surface.polygons import PolygonMesh
 
 HALF = 0.5
 """Half the edge of every cube here."""

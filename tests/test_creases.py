@@ -10,12 +10,10 @@ import pytest
 import trimesh
 from conftest import Cli, random_rotation, sphere_mesh, surface_of, write_obj
 
-from vorolight.stages.optimize.spheres import Spheres
-from vorolight.stages.optimize.triangles import Trained
-from vorolight.stages.sources.contouring import contoured
-from vorolight.stages.sources.creases import of_triangles
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.surface.creases import (
+from vorolight.stages.inputs.creases.contouring import contoured
+from vorolight.stages.inputs.creases.sharp_edges import of_triangles
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.mesh.creases import (
     CORNER,
     CREASE,
     Chain,
@@ -25,11 +23,13 @@ from vorolight.stages.surface.creases import (
     embed,
     give_up_flat,
 )
-from vorolight.stages.surface.edge_table import EdgeTable, Sized
-from vorolight.stages.surface.geometry import triangle_normals
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.surface.operations import contract_short, delaunay_gain, flip, split_long
-from vorolight.stages.surface.remesh import remesh
+from vorolight.stages.mesh.edge_table import EdgeTable, Sized
+from vorolight.stages.mesh.geometry import triangle_normals
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.remesh.operations import contract_short, delaunay_gain, flip, split_long
+from vorolight.stages.remesh.remeshing import remesh
+from vorolight.stages.training.spheres import Spheres
+from vorolight.stages.training.triangles import Trained
 
 
 def cube(side: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

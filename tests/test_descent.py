@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from vorolight.stages.errors import NumericalFailure
-from vorolight.stages.optimize import products
-from vorolight.stages.optimize.descent import SHORTER, TERMS, descend, first_damping
-from vorolight.stages.optimize.least_squares import (
+from vorolight.stages.solvers import products
+from vorolight.stages.solvers.gauss_newton import SHORTER, TERMS, descend, first_damping
+from vorolight.stages.solvers.least_squares import (
     TOLERANCE,
     Block,
     GaussNewton,

@@ -11,8 +11,10 @@ from types import SimpleNamespace
 import pytest
 from conftest import Cli
 
-from vorolight.stages import doctor, installation, machine, memory
+from vorolight.stages import memory
 from vorolight.stages.artifacts import atomic
+from vorolight.stages.engine.doctor import checks as doctor
+from vorolight.stages.engine.doctor import installation, machine
 
 
 def test_this_machine_is_sound_and_stays_as_it_was(tmp_path: Path, program: Cli) -> None:
@@ -130,7 +132,7 @@ def test_full_disks_and_network_disks(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_what_a_container_grants_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "CONTROL_GROUP", tmp_path)
-    monkeypatch.setattr(machine.standing, "available_threads", lambda: 4)
+    monkeypatch.setattr(machine, "available_threads", lambda: 4)
     (tmp_path / "memory.max").write_text("700000000\n")
     (tmp_path / "memory.current").write_text("200000000\n")
     (tmp_path / "cpu.max").write_text("250000 100000\n")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from conftest import sphere_mesh
 
-from vorolight.stages.export import ply, stl
+from vorolight.stages.formats import ply, stl
+from vorolight.stages.mesh.geometry import enclosed_volume, fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.render import image_file, raster
-from vorolight.stages.surface.geometry import enclosed_volume, fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.voronoi.interface import interface
+from vorolight.stages.voronoi.diagram.interface import interface
 
 
 def polygons() -> PolygonMesh:

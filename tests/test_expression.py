@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from vorolight.stages import torch_start
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources.expression import ONE, parse
-from vorolight.stages.sources.fields import FieldSource
+from vorolight.stages.inputs.field.expression import ONE, parse
+from vorolight.stages.inputs.field.source import FieldSource
 
 
 def test_a_formula_is_worth_what_it_says_and_its_gradient_is_exact() -> None:

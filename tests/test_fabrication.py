@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 from vorolight.stages.errors import UsageError
-from vorolight.stages.export import stl, threemf
 from vorolight.stages.fabrication import (
     assembly,
     layers,
@@ -23,10 +22,11 @@ from vorolight.stages.fabrication import (
     tubes,
 )
 from vorolight.stages.fabrication.even_cells import even_cells
-from vorolight.stages.surface.geometry import face_frames
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.solids import solid_of
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.formats import stl, threemf
+from vorolight.stages.mesh.geometry import face_frames
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.solids import solid_of
+from vorolight.stages.mesh.topology import topology
 
 BALL = PolygonMesh.of_triangles(*sphere_mesh(30.0, 1))
 

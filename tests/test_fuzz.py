@@ -103,10 +103,10 @@ def open_all(folder: str, count: int) -> None:
     import resource
     import time
 
-    from vorolight.stages.sources.fields import FieldSource
-    from vorolight.stages.sources.mesh import MeshSource
-    from vorolight.stages.sources.points import PointSource
-    from vorolight.stages.sources.resolve import identify
+    from vorolight.stages.inputs.field.source import FieldSource
+    from vorolight.stages.inputs.mesh.source import MeshSource
+    from vorolight.stages.inputs.points.source import PointSource
+    from vorolight.stages.inputs.resolve import identify
 
     faults, opened, slowest, cases = [], 0, 0.0, 0
     for name, path in damaged(Path(folder), count):

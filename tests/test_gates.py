@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vorolight.stages.errors import UsageError
-from vorolight.stages.export import ply
+from vorolight.stages.formats import ply
+from vorolight.stages.mesh.polygons import Floats, Ints, PolygonMesh
+from vorolight.stages.mesh.queries.intersections import self_intersections
+from vorolight.stages.mesh.subdivision import subdivided
+from vorolight.stages.mesh.topology import topology
 from vorolight.stages.metrics import gates
-from vorolight.stages.metrics.intersections import self_intersections
 from vorolight.stages.metrics.requirements import Requirement
-from vorolight.stages.surface.polygons import Floats, Ints, PolygonMesh
-from vorolight.stages.surface.subdivision import subdivided
-from vorolight.stages.surface.topology import topology
 
 Cli = Callable[..., "CompletedProcess[str]"]
 Surface = tuple[Floats, Ints]

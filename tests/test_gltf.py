@@ -13,8 +13,8 @@ import pytest
 from conftest import sphere_mesh
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.resolve import identify
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.inputs.resolve import identify
 
 VERTICES, TRIANGLES = sphere_mesh(1.0, 1)
 

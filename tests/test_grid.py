@@ -11,10 +11,10 @@ import torch
 from conftest import QUICK, Cli
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import grid_file
-from vorolight.stages.sources.fields import FieldSource
-from vorolight.stages.sources.grid import load
-from vorolight.stages.sources.resolve import identify
+from vorolight.stages.formats import grid_file
+from vorolight.stages.inputs.field.grid import load
+from vorolight.stages.inputs.field.source import FieldSource
+from vorolight.stages.inputs.resolve import identify
 
 
 def ellipsoid(path: Path, count: int = 24) -> Path:

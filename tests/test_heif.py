@@ -11,9 +11,10 @@ from conftest import Cli, torus_mesh, write_ply
 from PIL import Image
 
 from vorolight.stages.errors import InputError
+from vorolight.stages.inputs.views import files as view_files
+from vorolight.stages.inputs.views import pictures as view_pictures
+from vorolight.stages.inputs.views.writer import write_views
 from vorolight.stages.render import image_file
-from vorolight.stages.sources import view_files, view_pictures
-from vorolight.stages.sources.view_writer import write_views
 
 
 def write_heic(path: Path, picture: Image.Image) -> Path:

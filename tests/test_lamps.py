@@ -16,13 +16,13 @@ from conftest import Cli, sphere_mesh
 from manifold3d import Manifold
 
 from vorolight.stages.errors import NumericalFailure, UsageError
-from vorolight.stages.export import threemf
 from vorolight.stages.fabrication import base, lamp, lights, printcheck, slicer
 from vorolight.stages.fabrication.base import Place
+from vorolight.stages.formats import threemf
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.queries.parity import RayParity
+from vorolight.stages.mesh.solids import solid_of
 from vorolight.stages.render import lit
-from vorolight.stages.sources.parity import RayParity
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.solids import solid_of
 
 BALL = PolygonMesh.of_triangles(*sphere_mesh(1.0, 3))
 TEA = lights.PRESETS["tea-light"]

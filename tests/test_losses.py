@@ -7,13 +7,13 @@ import pytest
 import torch
 from conftest import sphere_mesh
 
-from vorolight.stages.contract import Silent
-from vorolight.stages.losses import regularization, shape, sphere
-from vorolight.stages.optimize.loop import Schedule, adam
-from vorolight.stages.sources.fields import FieldSource
-from vorolight.stages.surface.frames import Connectivity, face_frames
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.inputs.field.source import FieldSource
+from vorolight.stages.mesh.frames import Connectivity, face_frames
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.progress import Silent
+from vorolight.stages.solvers.adam import Schedule, adam
+from vorolight.stages.training.losses import regularization, shape, sphere
 
 MESH = PolygonMesh.of_triangles(*sphere_mesh(1.0, 1))
 FRAME = ModelFrame(np.array([0.1, -0.2, 0.3]), 0.25)

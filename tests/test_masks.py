@@ -13,10 +13,11 @@ from PIL import Image
 from scipy.ndimage import binary_fill_holes
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import view_files, view_pictures
-from vorolight.stages.sources.images import ViewSource
-from vorolight.stages.sources.silhouettes import Reading
-from vorolight.stages.sources.view_writer import write_views
+from vorolight.stages.inputs.views import files as view_files
+from vorolight.stages.inputs.views import pictures as view_pictures
+from vorolight.stages.inputs.views.silhouettes import Reading
+from vorolight.stages.inputs.views.source import ViewSource
+from vorolight.stages.inputs.views.writer import write_views
 
 
 @pytest.fixture

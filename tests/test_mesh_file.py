@@ -10,11 +10,11 @@ import pytest
 from conftest import random_rotation, sphere_mesh, write_obj
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.metrics.intersections import self_intersections
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.mesh_file import load
-from vorolight.stages.sources.resolve import kind_of
-from vorolight.stages.surface.geometry import enclosed_volume, triangle_normals
+from vorolight.stages.formats.mesh_file import load
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.inputs.resolve import kind_of
+from vorolight.stages.mesh.geometry import enclosed_volume, triangle_normals
+from vorolight.stages.mesh.queries.intersections import self_intersections
 
 BAD = {
     "missing.obj": (None, "no such file"),

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from conftest import Cli, fibonacci, sphere_mesh, surface_of, torus_mesh, write_ply
 
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.inputs.points.source import PointSource
+from vorolight.stages.mesh import geometry
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.queries.true_surface import true_surface
 from vorolight.stages.metrics import chamfer, curvature
 from vorolight.stages.metrics.departures import departures
 from vorolight.stages.metrics.fidelity import fidelity
 from vorolight.stages.metrics.protocols import PROTOCOLS
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.points import PointSource
-from vorolight.stages.sources.true_surface import true_surface
-from vorolight.stages.surface import geometry
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.surface.polygons import PolygonMesh
 
 
 def test_curvature_of_a_sphere() -> None:

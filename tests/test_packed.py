@@ -13,9 +13,9 @@ from conftest import Cli, fibonacci, sphere_mesh
 from input_files import seeds
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import cloud_file, grid_file, mesh_file, packed
-from vorolight.stages.sources.arrays_file import names
-from vorolight.stages.sources.resolve import identify, kind_of, up_axis
+from vorolight.stages.formats import cloud_file, grid_file, mesh_file, packed
+from vorolight.stages.formats.arrays_file import names
+from vorolight.stages.inputs.resolve import identify, kind_of, up_axis
 
 
 def pack(path: Path) -> Path:

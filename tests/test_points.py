@@ -13,18 +13,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.losses.shape import Chamfer, for_source
-from vorolight.stages.sources.gauss import Dipoles, Grid
-from vorolight.stages.sources.local_fits import Cloud
-from vorolight.stages.sources.noise import noise, outliers, spacings, typical
-from vorolight.stages.sources.points import PointSource
-from vorolight.stages.sources.reconstruction import Reconstruction, reconstruct
-from vorolight.stages.sources.resolve import identify, kind_of
-from vorolight.stages.sources.true_surface import true_surface
-from vorolight.stages.surface.geometry import enclosed_volume, sample_triangles, triangle_areas
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.inputs.points.gauss_reconstruction import Dipoles, Grid
+from vorolight.stages.inputs.points.local_fits import Cloud
+from vorolight.stages.inputs.points.noise import noise, outliers, spacings, typical
+from vorolight.stages.inputs.points.reconstruction import Reconstruction, reconstruct
+from vorolight.stages.inputs.points.source import PointSource
+from vorolight.stages.inputs.resolve import identify, kind_of
+from vorolight.stages.mesh.geometry import enclosed_volume, sample_triangles, triangle_areas
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.queries.true_surface import true_surface
+from vorolight.stages.mesh.topology import topology
+from vorolight.stages.training.losses.shape import Chamfer, for_source
 
 
 def shell(count: int, noise: float, seed: int = 0) -> np.ndarray:

@@ -19,20 +19,20 @@ from conftest import (
     write_ply,
 )
 
-from vorolight.stages.optimize.agreement import Polygons, agreeing
-from vorolight.stages.optimize.polygon_problem import (
+from vorolight.stages.mesh.edge_table import EdgeTable, Sized
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import edges, topology
+from vorolight.stages.remesh.plane_parts import plane_parts
+from vorolight.stages.remesh.stars import KEPT, KEPT_FLAT, Rings, groups, merged
+from vorolight.stages.training.agreement import Polygons, agreeing
+from vorolight.stages.training.polygon_problem import (
     Corners,
     Planes,
     PolygonProblem,
     incidence,
     incidence_gradient,
 )
-from vorolight.stages.optimize.spheres import Spheres
-from vorolight.stages.surface.edge_table import EdgeTable, Sized
-from vorolight.stages.surface.plane_parts import plane_parts
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.stars import KEPT, KEPT_FLAT, Rings, groups, merged
-from vorolight.stages.surface.topology import edges, topology
+from vorolight.stages.training.spheres import Spheres
 
 
 def merging(
@@ -47,7 +47,7 @@ def merging(
 
 
 def area_share(mesh: PolygonMesh) -> float:
-    from vorolight.stages.surface.geometry import face_frames
+    from vorolight.stages.mesh.geometry import face_frames
 
     area = face_frames(mesh)[0]
     return float(area[mesh.valences > 3].sum() / area.sum())
@@ -279,15 +279,17 @@ def test_polygons_of_a_part_with_plane_sides(tmp_path: Path, cli: Cli) -> None:
 
 def test_no_polygon_at_all_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where nothing conforms, the triangles are what is written, not in silence."""
-    from vorolight.stages import classify, init, pipeline, sphere_train, standing
+    from vorolight.stages import classify, init, sphere_train
     from vorolight.stages.artifacts.run_folder import RunFolder
-    from vorolight.stages.optimize import polygons
-    from vorolight.stages.sources.resolve import identify
+    from vorolight.stages.engine import runner
+    from vorolight.stages.engine.session import Session
+    from vorolight.stages.inputs.resolve import identify
+    from vorolight.stages.training import polygons
 
     monkeypatch.setattr(polygons, "ROUNDS", 1)
-    session = standing.Session(RunFolder(tmp_path / "run"), identify("sphere"))
-    pipeline.execute(session, "classify", classify.Params(n_init=6))
-    pipeline.execute(session, "init", init.Params(iterations=0))
-    done = pipeline.execute(session, "sphere-train", sphere_train.Params(faces="polygon"))
+    session = Session(RunFolder(tmp_path / "run"), identify("sphere"))
+    runner.execute(session, "classify", classify.Params(n_init=6))
+    runner.execute(session, "init", init.Params(iterations=0))
+    done = runner.execute(session, "sphere-train", sphere_train.Params(faces="polygon"))
     assert any("all faces are triangles" in text for text in done.manifest["warnings"])
     assert done.manifest["metrics"]["certificate"]["holds"]

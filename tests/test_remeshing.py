@@ -11,24 +11,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from vorolight.stages.metrics.intersections import self_intersections
-from vorolight.stages.optimize.repair import rounded
-from vorolight.stages.sources.fields import FieldSource
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.parity import RayParity
-from vorolight.stages.sources.projection import ClosestPoint, closest_on_triangles
-from vorolight.stages.sources.true_surface import TrueSurface, true_surface
-from vorolight.stages.surface import geometry
-from vorolight.stages.surface.edge_table import EdgeTable, Sized
-from vorolight.stages.surface.embedding import kept_embedded
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.remesh import remesh, thin_out
-from vorolight.stages.surface.sheets import draw_back, part
-from vorolight.stages.surface.sizing import LengthField, thickness
-from vorolight.stages.surface.topology import topology
-from vorolight.stages.voronoi.interface import interface
-from vorolight.stages.voronoi.mirror import mirrored
+from vorolight.stages.inputs.field.source import FieldSource
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.mesh import geometry
+from vorolight.stages.mesh.edge_table import EdgeTable, Sized
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.queries.intersections import self_intersections
+from vorolight.stages.mesh.queries.parity import RayParity
+from vorolight.stages.mesh.queries.projection import ClosestPoint, closest_on_triangles
+from vorolight.stages.mesh.queries.true_surface import TrueSurface, true_surface
+from vorolight.stages.mesh.topology import topology
+from vorolight.stages.remesh.embedding import kept_embedded
+from vorolight.stages.remesh.length_field import LengthField, thickness
+from vorolight.stages.remesh.remeshing import remesh, thin_out
+from vorolight.stages.remesh.sheets import draw_back, part
+from vorolight.stages.training.repair import rounded
+from vorolight.stages.voronoi.diagram.interface import interface
+from vorolight.stages.voronoi.start.mirror import mirrored
 
 
 @given(st.integers(0, 10**6))

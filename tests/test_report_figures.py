@@ -11,8 +11,8 @@ import pytest
 from conftest import sphere_mesh
 
 from vorolight.stages.artifacts.hdf5 import read
+from vorolight.stages.mesh.topology import topology
 from vorolight.stages.report import comparison, simplify, surfaces, tables
-from vorolight.stages.surface.topology import topology
 
 
 def test_residuals_are_those_of_the_training(

@@ -13,11 +13,11 @@ from conftest import Cli, random_rotation, sphere_mesh, surface_of, write_obj
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vorolight.stages.sources.creases import exact, of_triangles
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.sources.rounded import joined, rounded
-from vorolight.stages.surface.creases import Chain, Creases
-from vorolight.stages.surface.model_frame import ModelFrame
+from vorolight.stages.inputs.creases.rounded_edges import joined, rounded
+from vorolight.stages.inputs.creases.sharp_edges import exact, of_triangles
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.mesh.creases import Chain, Creases
+from vorolight.stages.mesh.model_frame import ModelFrame
 
 SIDES = np.array([10.0, 8.0, 6.0])
 """Of every box here, in h0."""

@@ -14,12 +14,13 @@ import pye57
 import pytest
 from conftest import Cli, fibonacci, random_rotation
 
+from vorolight.stages import child
 from vorolight.stages.errors import BackendMissing, InputError
-from vorolight.stages.sources import child, cloud_file, scan_child
-from vorolight.stages.sources import e57 as e57_module
-from vorolight.stages.sources import las as las_module
-from vorolight.stages.sources.points import PointSource
-from vorolight.stages.sources.resolve import identify, kind_of
+from vorolight.stages.formats import cloud_file, scan_child
+from vorolight.stages.formats import e57 as e57_module
+from vorolight.stages.formats import las as las_module
+from vorolight.stages.inputs.points.source import PointSource
+from vorolight.stages.inputs.resolve import identify, kind_of
 
 FAR = np.array([4_512_345.0, 5_401_234.0, 312.0])
 """A place as surveys have it: single precision would be off by a quarter there."""

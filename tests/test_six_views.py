@@ -13,15 +13,26 @@ from PIL import Image
 
 from vorolight.stages.artifacts import hdf5
 from vorolight.stages.errors import InputError, UsageError
+from vorolight.stages.inputs.resolve import recorded_up
+from vorolight.stages.inputs.views import (
+    alignment as view_alignment,
+)
+from vorolight.stages.inputs.views import (
+    files as view_files,
+)
+from vorolight.stages.inputs.views import (
+    pictures as view_pictures,
+)
+from vorolight.stages.inputs.views import (
+    six_views,
+)
+from vorolight.stages.inputs.views.hull import VisualHull
+from vorolight.stages.inputs.views.silhouettes import Reading
+from vorolight.stages.inputs.views.six_views import NAMES, SixViews, of_folder
+from vorolight.stages.inputs.views.source import ViewSource
+from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.render import drawing
 from vorolight.stages.render.views import Views
-from vorolight.stages.sources import six_views, view_alignment, view_files, view_pictures
-from vorolight.stages.sources.hull import VisualHull
-from vorolight.stages.sources.images import ViewSource
-from vorolight.stages.sources.resolve import recorded_up
-from vorolight.stages.sources.silhouettes import Reading
-from vorolight.stages.sources.six_views import NAMES, SixViews, of_folder
-from vorolight.stages.surface.polygons import PolygonMesh
 
 SIZE = 96
 

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.randomness import generator
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import voxels
-from vorolight.stages.sources.fields import FIELDS, FieldSource
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.parity import RayParity
-from vorolight.stages.sources.sheet import thickened
-from vorolight.stages.sources.thin import thin_parts
-from vorolight.stages.sources.true_surface import true_surface
-from vorolight.stages.sources.voxels import VoxelGrid
-from vorolight.stages.surface.geometry import enclosed_volume
-from vorolight.stages.surface.model_frame import ModelFrame
-from vorolight.stages.voronoi.interface import interface
-from vorolight.stages.voronoi.reflection import reflect
+from vorolight.stages.inputs.field.source import FIELDS, FieldSource
+from vorolight.stages.inputs.mesh.sheet import thickened
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.inputs.thin import thin_parts
+from vorolight.stages.mesh import voxels
+from vorolight.stages.mesh.geometry import enclosed_volume
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.queries.parity import RayParity
+from vorolight.stages.mesh.queries.true_surface import true_surface
+from vorolight.stages.mesh.voxels import VoxelGrid
+from vorolight.stages.voronoi.diagram.interface import interface
+from vorolight.stages.voronoi.start.reflection import reflect
 
 
 def classified(source: object, n: int) -> voxels.VoxelGrid:
@@ -159,7 +159,7 @@ def test_reflected_generators_make_a_closed_surface_near_the_shape() -> None:
     grid = classified(source, 24)
     generators, inside = reflect(grid)
     surface = interface(generators, inside)
-    from vorolight.stages.surface.topology import topology
+    from vorolight.stages.mesh.topology import topology
 
     facts = topology(surface.mesh)
     assert facts.closed
@@ -202,7 +202,7 @@ def test_repair_closes_and_is_said(tmp_path: Path) -> None:
 
 
 def test_repair_fails_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vorolight.stages.sources import child
+    from vorolight.stages import child
 
     source = MeshSource(write_ply(tmp_path / "a.ply", *sphere_mesh()))
     source.repair = True

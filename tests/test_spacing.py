@@ -12,26 +12,26 @@ from conftest import Cli, fibonacci, random_rotation, sphere_mesh, surface_of, w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vorolight.stages.optimize.fitting import backward, forward, vertex_errors
-from vorolight.stages.optimize.refinement import Refine, refined
-from vorolight.stages.optimize.spheres import Spheres
-from vorolight.stages.sources.creases import of_triangles
-from vorolight.stages.surface.creases import Creases
-from vorolight.stages.surface.edge_table import EdgeTable, Sized
-from vorolight.stages.surface.operations import delaunay_gain, split_long
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.remesh import divide
-from vorolight.stages.surface.sizing import GRADATION, LengthField, evened, separation
-from vorolight.stages.surface.spacing import (
+from vorolight.stages.inputs.creases.sharp_edges import of_triangles
+from vorolight.stages.mesh.creases import Creases
+from vorolight.stages.mesh.edge_table import EdgeTable, Sized
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.queries.thickness import FLAT, ROUND
+from vorolight.stages.mesh.topology import topology
+from vorolight.stages.remesh.curvature_metric import LONGEST, metrics
+from vorolight.stages.remesh.fitting import backward, forward, vertex_errors
+from vorolight.stages.remesh.length_field import GRADATION, LengthField, evened, separation
+from vorolight.stages.remesh.operations import delaunay_gain, split_long
+from vorolight.stages.remesh.remeshing import divide
+from vorolight.stages.remesh.target_lengths import (
     Spacing,
     TooManyTriangles,
     _affordable,
     limits,
     spaced,
 )
-from vorolight.stages.surface.stretching import LONGEST, metrics
-from vorolight.stages.surface.thickness import FLAT, ROUND
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.training.refinement import Refine, refined
+from vorolight.stages.training.spheres import Spheres
 
 
 def egg(level: int = 5) -> tuple[np.ndarray, np.ndarray]:

@@ -13,8 +13,8 @@ import pytest
 from cases import FOLDERS, ROOT
 
 from vorolight.schemas import build
-from vorolight.stages import standing
-from vorolight.stages.contract import options
+from vorolight.stages.engine import registry
+from vorolight.stages.engine.params import options
 
 # What every layer may use: the exceptions, memory, and what makes machine code and torch ready.
 LEAVES = {"errors", "compiled", "memory", "torch_start"}
@@ -66,7 +66,7 @@ def test_layers() -> None:
                 to_stage = len(parts) > 2 and parts[2] in stage_modules - LEAVES
                 if inside and parts[1] == "stages" and to_stage:
                     faults.append(f"{path}: {target}")
-                stages = {name.replace("-", "_") for name in standing.ALL}
+                stages = {name.replace("-", "_") for name in registry.ALL}
                 if path.stem in stages and not inside and to_stage and parts[2] in stages:
                     faults.append(f"{path}: {target}")
     assert faults == []
@@ -111,16 +111,16 @@ def test_every_dependency_is_pinned() -> None:
     assert all(">=" in entry for entry in wanted)
 
 
-@pytest.mark.parametrize("name", standing.ALL)
+@pytest.mark.parametrize("name", registry.ALL)
 def test_schema_files_are_those_of_the_params(name: str) -> None:
     stored = (ROOT / "schemas" / f"{name}.json").read_text()
     assert stored == build.encode(build.stage_schema(name)), "run: make schemas"
     assert json.loads(stored)["$id"].endswith(name)
 
 
-@pytest.mark.parametrize("name", standing.ALL)
+@pytest.mark.parametrize("name", registry.ALL)
 def test_every_option_is_explained(name: str) -> None:
-    for option in options(standing.get(name).params):
+    for option in options(registry.get(name).params):
         assert option.meaning.endswith("."), option.name
 
 

@@ -9,9 +9,9 @@ from conftest import random_rotation, sphere_mesh, torus_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vorolight.stages.surface import edits, frames, geometry, spheres
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import bad_edges, pinched_vertices, topology
+from vorolight.stages.mesh import edits, frames, geometry, spheres
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import bad_edges, pinched_vertices, topology
 
 CUBE = PolygonMesh(
     np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float),

@@ -8,7 +8,7 @@ from conftest import random_rotation, sphere_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vorolight.stages.surface.triangle_tree import TriangleTree
+from vorolight.stages.mesh.queries.triangle_tree import TriangleTree
 
 
 def soup(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from conftest import sphere_mesh, write_ply
 
-from vorolight.stages.export import ply
-from vorolight.stages.sources import crossing_child
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.surface.geometry import enclosed_volume
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
+from vorolight.stages.formats import ply
+from vorolight.stages.inputs.mesh import crossing_child
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.mesh.geometry import enclosed_volume
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
 
 
 def test_vertices_equal_in_single_precision_are_welded(tmp_path: Path) -> None:

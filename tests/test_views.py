@@ -14,12 +14,13 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from vorolight.stages.errors import InputError, UsageError
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.inputs.views import files as view_files
+from vorolight.stages.inputs.views import pictures as view_pictures
+from vorolight.stages.inputs.views.source import ViewSource
+from vorolight.stages.inputs.views.writer import write_views
 from vorolight.stages.render import image_file
 from vorolight.stages.render.cameras import Camera, looking, rigid
-from vorolight.stages.sources import view_files, view_pictures
-from vorolight.stages.sources.images import ViewSource
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.sources.view_writer import write_views
 
 MATRIX = np.array([[300.0, 2.0, 120.0], [0, 310.0, 90.0], [0, 0, 1]])
 

@@ -17,18 +17,18 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import ConvexHull
 
 from vorolight.stages.errors import InputError, NumericalFailure
-from vorolight.stages.losses.cvt import cvt
-from vorolight.stages.optimize.cvt import Descent, PaperDescent
-from vorolight.stages.surface.geometry import enclosed_volume, face_frames, fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.voronoi.boundary import Boundary
-from vorolight.stages.voronoi.cells import PolyhedralMesh, raw_cells
-from vorolight.stages.voronoi.cleanup import clean
-from vorolight.stages.voronoi.delaunay import delaunay
-from vorolight.stages.voronoi.grading import Sizes, depths
-from vorolight.stages.voronoi.interface import interface
-from vorolight.stages.voronoi.interior import Guard, sample
-from vorolight.stages.voronoi.slivers import merged
+from vorolight.stages.mesh.geometry import enclosed_volume, face_frames, fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.training.cvt import Descent, PaperDescent
+from vorolight.stages.training.losses.cvt import cvt
+from vorolight.stages.voronoi.cells.assembly.assembly import PolyhedralMesh, raw_cells
+from vorolight.stages.voronoi.cells.assembly.boundary import Boundary
+from vorolight.stages.voronoi.cells.assembly.grading import Sizes, depths
+from vorolight.stages.voronoi.cells.assembly.interior import Guard, sample
+from vorolight.stages.voronoi.cells.assembly.slivers import merged
+from vorolight.stages.voronoi.diagram.cleanup import clean
+from vorolight.stages.voronoi.diagram.delaunay import delaunay
+from vorolight.stages.voronoi.diagram.interface import interface
 
 
 def randomness(_: str, number: int) -> np.random.Generator:

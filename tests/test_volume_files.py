@@ -15,11 +15,11 @@ import torch
 from conftest import QUICK, Cli, random_rotation
 
 from vorolight.stages.errors import InputError
-from vorolight.stages.sources import grid_file
-from vorolight.stages.sources.fields import FieldSource
-from vorolight.stages.sources.grid import load
-from vorolight.stages.sources.resolve import identify, kind_of
-from vorolight.stages.sources.sample_grid import Samples
+from vorolight.stages.formats import grid_file
+from vorolight.stages.formats.sample_grid import Samples
+from vorolight.stages.inputs.field.grid import load
+from vorolight.stages.inputs.field.source import FieldSource
+from vorolight.stages.inputs.resolve import identify, kind_of
 
 SHAPE = (14, 12, 10)
 ORIGIN = np.array([12.0, -30.0, 55.0])

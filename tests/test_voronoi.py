@@ -10,23 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.errors import NumericalFailure
-from vorolight.stages.surface import geometry
-from vorolight.stages.surface.polygons import PolygonMesh
-from vorolight.stages.surface.topology import topology
-from vorolight.stages.voronoi import shull_child
-from vorolight.stages.voronoi.cleanup import clean
+from vorolight.stages.mesh import geometry
+from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.topology import topology
 from vorolight.stages.voronoi.conformity import Conformity, conformity
-from vorolight.stages.voronoi.delaunay import (
+from vorolight.stages.voronoi.diagram import shull_child
+from vorolight.stages.voronoi.diagram.cleanup import clean
+from vorolight.stages.voronoi.diagram.delaunay import (
     BACKENDS,
     backend,
     by_shull,
     delaunay,
     in_passing,
 )
-from vorolight.stages.voronoi.interface import interface, without_islands
+from vorolight.stages.voronoi.diagram.interface import interface, without_islands
+from vorolight.stages.voronoi.diagram.vertices import circumcentres, voronoi_vertices
 from vorolight.stages.voronoi.pairs import label_pairs
 from vorolight.stages.voronoi.trained_surface import TrainedSurface
-from vorolight.stages.voronoi.vertices import circumcentres, voronoi_vertices
 
 
 def sphere_pairs(

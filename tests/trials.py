@@ -148,7 +148,7 @@ def _import_everything() -> None:
 
     from vorolight import stages
     from vorolight.cli import app  # noqa: F401
-    from vorolight.stages.metrics.intersections import self_intersections
+    from vorolight.stages.mesh.queries.intersections import self_intersections
 
     for module in pkgutil.walk_packages(stages.__path__, "vorolight.stages."):
         if not module.name.endswith("_child"):

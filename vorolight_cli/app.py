@@ -13,9 +13,9 @@ from typing import Annotated, Any
 
 import typer
 
-from vorolight.stages import pipeline, standing
 from vorolight.stages.artifacts.run_folder import RunFolder
-from vorolight.stages.contract import Stage
+from vorolight.stages.engine import freshness, registry, runner
+from vorolight.stages.engine.stage import Stage
 from vorolight.stages.errors import UsageError, VorolightError
 
 from . import completion, signals, summary
@@ -29,13 +29,7 @@ from .gating import gating
 from .panels import Panels
 from .parameters import Function, add_options, build, parameter_names
 from .sbatch import sbatch
-from .session import (
-    Common,
-    Quiet,
-    Run,
-    Verbose,
-    common_options,
-)
+from .session import Common, Quiet, Run, Verbose, common_options
 from .status import status
 from .views import from_image, views
 
@@ -81,7 +75,7 @@ def _until(
         ),
     ] = "fabricate",
 ) -> str:
-    standing.stages_until(until, "views")  # refuses what is not a stage
+    registry.stages_until(until, "views")  # refuses what is not a stage
     return until
 
 
@@ -136,13 +130,13 @@ def _execute(common: Common, name: str, params: Any) -> bool:
     """Run one stage, or with --dry-run print what would run. True if it ran or would run."""
     console, session = common.console, common.session
     if common.dry_run:
-        standing.check_same_input(session.folder, session.input)
-        found = standing.state(session, name, params)
+        freshness.check_same_input(session.folder, session.input)
+        found = freshness.state(session, name, params)
         reason = "forced" if session.force and found.done else found.reason
         console.say(f"{name}: " + ("up to date" if reason is None else f"would run ({reason})"))
         console.data({"stage": name, "would_run": reason is not None, "reason": reason})
         return reason is not None
-    result = pipeline.execute(session, name, params)
+    result = runner.execute(session, name, params)
     if result.ran:
         for warning in result.manifest["warnings"]:
             console.warn(f"{name}: {warning}")
@@ -154,8 +148,8 @@ def _execute(common: Common, name: str, params: Any) -> bool:
 
 
 def _stage_command(name: str) -> None:
-    stage = standing.get(name)
-    served = [standing.get("classify"), stage] if name in FIRST else [stage]
+    stage = registry.get(name)
+    served = [registry.get("classify"), stage] if name in FIRST else [stage]
     own: dict[str, list[Function]] = {"evaluate": [gating], "classify": [_preview]}
     templates = [common_options, *own.get(name, [])]
 
@@ -202,7 +196,7 @@ def _draw(common: Common) -> None:
     from vorolight.stages.report import preview
 
     folder = common.session.folder
-    source = standing.input_of(common.session)
+    source = freshness.input_of(common.session)
     if source is not None:
         opened = source.open(folder.arrays("classify", "classify"))
         common.console.say(f"preview: {preview.write(folder, opened)}")
@@ -216,7 +210,7 @@ def _classify_first(
     True after a dry run in which classify would run, and therefore stage ``name`` too.
     """
     session = common.session
-    stage = standing.get("classify")
+    stage = registry.get("classify")
     stored = session.folder.manifest("classify")
     recorded = stored["params"] if stored else None
     params = build(stage, given, common.config, names, recorded)
@@ -232,7 +226,7 @@ def _classify_first(
 
 
 def _run_command() -> None:
-    stages = [standing.get(name) for name in standing.ORDER]
+    stages = [registry.get(name) for name in registry.ORDER]
 
     def command(**given: Any) -> None:
         """Run all stages, from INPUT to the object to print. Writes the report at the end.
@@ -252,8 +246,8 @@ def _run_command() -> None:
             for stage in stages
         }
         first: str | None = None
-        source = standing.input_of(common.session)
-        for name in standing.stages_until(until, "" if source is None else source.kind):
+        source = freshness.input_of(common.session)
+        for name in registry.stages_until(until, "" if source is None else source.kind):
             if first is not None:
                 common.console.say(f"{name}: would run ({first} changed)")
                 common.console.data(
@@ -312,7 +306,7 @@ def sample(
     Example: vorolight sample bunny
     """
     from vorolight.stages.artifacts import atomic
-    from vorolight.stages.sources.samples import sample as find
+    from vorolight.stages.inputs.samples import sample as find
 
     source = find(name)
     target, data = Path(source.name), source.read_bytes()
@@ -338,7 +332,7 @@ app.command()(guarded(sbatch))
 
 def _version(wanted: bool) -> None:
     if wanted:
-        print(f"vorolight {pipeline.tool_version()}")
+        print(f"vorolight {runner.tool_version()}")
         raise typer.Exit
 
 
@@ -352,7 +346,7 @@ def top(
 
 
 def _build() -> None:
-    for name in standing.ALL:
+    for name in registry.ALL:
         _stage_command(name)
     _run_command()
 

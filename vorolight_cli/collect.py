@@ -41,8 +41,8 @@ def collect(
 
     Example: vorolight collect runs/ -o runs.csv --columns 'evaluate-*'
     """
-    from vorolight.stages import collection
     from vorolight.stages.artifacts import atomic
+    from vorolight.stages.engine import collection
 
     printed = str(output) == "-"
     if not printed:

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from vorolight.stages import standing
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine import freshness
+from vorolight.stages.engine.session import Session
 from vorolight.stages.errors import ArtifactError, UsageError
 
 from .session import Quiet, Verbose
@@ -19,7 +20,7 @@ def outdated(folder: RunFolder) -> dict[str, str]:
     """Why existing results of a run are stale, by the names of their files."""
     return {
         found.stage.stem_of(found.params): found.reason
-        for found in standing.overall(standing.Session(folder=folder))
+        for found in freshness.overall(Session(folder=folder))
         if found.manifest is not None and found.reason is not None
     }
 

@@ -18,25 +18,25 @@ def choices(found: Callable[[], Iterable[str]]) -> Completion:
 
 
 def kinds() -> Iterable[str]:
-    from vorolight.stages.sources.resolve import KINDS
+    from vorolight.stages.inputs.resolve import KINDS
 
     return KINDS
 
 
 def backends() -> Iterable[str]:
-    from vorolight.stages.voronoi.delaunay import BACKENDS
+    from vorolight.stages.voronoi.diagram.delaunay import BACKENDS
 
     return BACKENDS
 
 
 def samples() -> Iterable[str]:
-    from vorolight.stages.sources.samples import SAMPLES
+    from vorolight.stages.inputs.samples import SAMPLES
 
     return SAMPLES
 
 
 def stages() -> Iterable[str]:
-    from vorolight.stages.standing import ORDER
+    from vorolight.stages.engine.registry import ORDER
 
     return ORDER
 
@@ -44,7 +44,7 @@ def stages() -> Iterable[str]:
 def input_field(incomplete: str) -> list[str]:
     """Offers built-in fields if no file begins with these letters; otherwise the shell offers the
     files."""
-    from vorolight.stages.sources.fields import FIELDS
+    from vorolight.stages.inputs.field.source import FIELDS
 
     if not incomplete or any(Path().glob(f"{incomplete}*")):
         return []

@@ -33,7 +33,7 @@ def doctor(
 
     Example: vorolight doctor --run /scratch/runs
     """
-    from vorolight.stages.doctor import examine
+    from vorolight.stages.engine.doctor.checks import examine
 
     console = Console(1, json, False)
     problems = []

@@ -48,13 +48,14 @@ def export(
 
     Example: vorolight export case --format openfoam --run bunny.vorolight
     """
-    from vorolight.stages import standing
-    from vorolight.stages.export.volume import export as write
-    from vorolight.stages.export.volume import format_of
+    from vorolight.stages.engine import freshness
+    from vorolight.stages.engine.export import export as write
+    from vorolight.stages.engine.export import format_of
+    from vorolight.stages.engine.session import Session
 
     form = format_of(target, format)
     folder = RunFolder.locate(run, None)
-    for found in standing.overall(standing.Session(folder=folder)):
+    for found in freshness.overall(Session(folder=folder)):
         if found.stage.name == "volume" and found.manifest is not None and found.reason:
             raise ArtifactError(
                 f"{folder.path}: the cells are stale ({found.reason}); run: vorolight volume"

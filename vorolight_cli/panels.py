@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from typer.core import TyperGroup
 
-from vorolight.stages.standing import ORDER
+from vorolight.stages.engine.registry import ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Convert Params dataclasses to command-line options and back, so that nothing is declared
+"""Convert StageParams dataclasses to command-line options and back, so that nothing is declared
 twice."""
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
-from vorolight.stages.contract import Option, Params, Stage, options
+from vorolight.stages.engine.params import Option, StageParams, options
+from vorolight.stages.engine.stage import Stage
 from vorolight.stages.errors import UsageError
 
 from . import completion
@@ -59,7 +60,7 @@ def _annotation(option: Option, name: str, group: str) -> Any:
         if option.type is bool:
             shown = "yes" if shown else "no"
         meaning += f" [default: {shown:g}]" if option.type is float else f" [default: {shown}]"
-    # Choices and limits are checked by the Params, so that every caller gets the same sentence.
+    # Choices and limits are checked by StageParams, so that every caller gets the same sentence.
     plain = option.type if option.type in (int, float, bool) and option.length is None else str
     return Annotated[
         plain | None,
@@ -137,8 +138,8 @@ def build(
     config: dict[str, dict[str, Any]],
     names: dict[str, str],
     recorded: dict[str, Any] | None = None,
-) -> Params:
-    """A stage's Params, in this order: command line, config file, recorded values, defaults.
+) -> StageParams:
+    """A stage's StageParams, in this order: command line, config file, recorded values, defaults.
 
     Raises UsageError for values that do not fit.
     """

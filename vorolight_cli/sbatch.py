@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from vorolight.stages import standing
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine import registry
 from vorolight.stages.errors import BackendMissing, UsageError
 
 from . import completion
@@ -71,15 +71,15 @@ def sbatch(
     Example: vorolight sbatch shapes.txt -n 25 --time 1:00:00 --submit
     """
     from vorolight.stages.artifacts import atomic
-    from vorolight.stages.sources import shape_list
+    from vorolight.stages.inputs import shape_list
 
     from .slurm_script import Plan, script
 
-    if until not in standing.ORDER:
-        raise UsageError(f"--until {until}: must be one of {', '.join(standing.ORDER)}")
-    stages = standing.ORDER[: standing.ORDER.index(until) + 1]
-    given = read_config(config, standing.ALL)
-    for stage in map(standing.get, stages):  # refused here, not by every job
+    if until not in registry.ORDER:
+        raise UsageError(f"--until {until}: must be one of {', '.join(registry.ORDER)}")
+    stages = registry.ORDER[: registry.ORDER.index(until) + 1]
+    given = read_config(config, registry.ALL)
+    for stage in map(registry.get, stages):  # refused here, not by every job
         build(stage, {}, given, parameter_names([stage])[stage.name])
     listed = shape_list.read(shapes)
     views = [i for i, shape in enumerate(listed, 1) if shape.kind == "views"]

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vorolight.stages import standing
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine import registry
+from vorolight.stages.engine.session import Session, available_threads
 from vorolight.stages.errors import UsageError
 
 from . import completion
@@ -17,7 +18,7 @@ from .console import Console
 from .parameters import read_config
 
 if TYPE_CHECKING:
-    from vorolight.stages.sources.resolve import Identity
+    from vorolight.stages.inputs.resolve import Identity
 
 Input = Annotated[
     str | None,
@@ -115,7 +116,7 @@ class Common:
     """The options every stage command has."""
 
     console: Console
-    session: standing.Session
+    session: Session
     seed: int | None
     """As given; the session has 0 if none was given."""
     dry_run: bool
@@ -125,7 +126,7 @@ class Common:
 def identity_of(input: str | None, field: str | None, kind: str | None = None) -> Identity | None:
     """The given input, if any. Raises UsageError if two are given, InputError for an unusable
     one."""
-    from vorolight.stages.sources.resolve import KINDS, identify, identify_field
+    from vorolight.stages.inputs.resolve import KINDS, identify, identify_field
 
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--kind {kind}: must be one of {', '.join(KINDS)}")
@@ -160,7 +161,7 @@ def common_options(
     config: Config = None,
 ) -> Common:
     """The options of every stage command, besides the stage's own."""
-    from vorolight.stages.voronoi.delaunay import BACKENDS
+    from vorolight.stages.voronoi.diagram.delaunay import BACKENDS
 
     if device not in DEVICES:
         raise UsageError(f"--device {device}: must be cpu or cuda")
@@ -168,11 +169,11 @@ def common_options(
         raise UsageError(f"--backend {backend}: must be {' or '.join(BACKENDS)}")
     console = Console(0 if quiet else 2 if verbose else 1, json, not no_color)
     identity = identity_of(input, field, kind)
-    session = standing.Session(
+    session = Session(
         folder=RunFolder.locate(run, None if identity is None else identity.stem),
         input=identity,
         seed=seed or 0,
-        threads=threads or standing.available_threads(),
+        threads=threads or available_threads(),
         device=device,
         backend=backend,
         allow_code=allow_code,
@@ -182,4 +183,4 @@ def common_options(
         verify=verify,
         progress=console,
     )
-    return Common(console, session, seed, dry_run, read_config(config, standing.ALL))
+    return Common(console, session, seed, dry_run, read_config(config, registry.ALL))

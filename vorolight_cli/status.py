@@ -6,16 +6,17 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vorolight.stages import standing
 from vorolight.stages.artifacts import lock, log
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine import freshness
+from vorolight.stages.engine.session import Session
 from vorolight.stages.errors import ArtifactError
 
 from .console import Console, table
 from .session import Field, Input, Json, Kind, Run, Verbose, Verify, identity_of
 
 if TYPE_CHECKING:
-    from vorolight.stages.standing import State
+    from vorolight.stages.engine.freshness import State
 
 
 def status(
@@ -29,12 +30,12 @@ def status(
     """
     identity = identity_of(input, field, kind)
     folder = RunFolder.locate(run, None if identity is None else identity.stem)
-    session = standing.Session(folder=folder, input=identity, verify=verify)
+    session = Session(folder=folder, input=identity, verify=verify)
     console = Console(1, json, True)
     holder = lock.holder(folder.path)
     rows = [("stage", "state", "why", "seconds")]
     damaged = []
-    for found in standing.overall(session):
+    for found in freshness.overall(session):
         facts = _facts(folder, found, holder)
         console.data(facts)
         took, why = facts["seconds"], facts["reason"] if facts["state"] == "stale" else ""

@@ -51,8 +51,8 @@ def views(
 
     Example: vorolight views cow.obj -o cow-views --count 300
     """
-    from vorolight.stages import standing
-    from vorolight.stages.sources.view_writer import write_views
+    from vorolight.stages.engine.session import available_threads
+    from vorolight.stages.inputs.views.writer import write_views
 
     if camera not in (None, "perspective", "orthographic"):
         raise UsageError(f"--camera {camera}: must be perspective or orthographic")
@@ -61,7 +61,7 @@ def views(
     try:
         written = write_views(
             mesh, output, count, size, camera, seed, force,  # type: ignore[arg-type]
-            threads or standing.available_threads(), console.advance, texture,
+            threads or available_threads(), console.advance, texture,
         )  # fmt: skip
     finally:
         console.finish()
@@ -126,8 +126,8 @@ def from_image(
 
     Example: vorolight from-image cow.jpg --six-views cow-made && vorolight run cow-views -n 40
     """
-    from vorolight.stages.sources import six_views as six
-    from vorolight.stages.sources.silhouettes import Reading, parse_background
+    from vorolight.stages.inputs.views import six_views as six
+    from vorolight.stages.inputs.views.silhouettes import Reading, parse_background
 
     if not photo.is_file():
         raise InputError(f"{photo}: no such file; give the path of a picture")

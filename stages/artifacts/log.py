@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..contract import Progress
+    from ..progress import Progress
 
 FOLDER = "logs"
 LARGEST = 4_000_000

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..compiled import compiled
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 
 DRAWN = 3
 """How many samples are drawn for each that is wanted."""

@@ -16,9 +16,9 @@ import torch
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..surface.polygons import Floats, Ints
-from ..voronoi.delaunay import delaunay
-from ..voronoi.vertices import circumcentres
+from ..mesh.polygons import Floats, Ints
+from ..voronoi.diagram.delaunay import delaunay
+from ..voronoi.diagram.vertices import circumcentres
 
 FILLED = 0.9
 """Share of the cube's edge that the shape's longest side takes."""

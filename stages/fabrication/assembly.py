@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
-from ..surface.polygons import Ints
+from ..mesh.polygons import Ints
 
 Floats32 = NDArray[np.float32]
 

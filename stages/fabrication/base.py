@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.geometry import fan_triangles
-from ..surface.polygons import Floats, PolygonMesh
+from ..mesh.geometry import fan_triangles
+from ..mesh.polygons import Floats, PolygonMesh
 from . import layers, lights
 from .lights import Cavity, Room
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sources.projection import ClosestPoint
-from ..surface.dual import dual
-from ..surface.edge_table import Sized
-from ..surface.geometry import fan_triangles
-from ..surface.polygons import Floats, PolygonMesh
-from ..surface.remesh import divide, remesh, thin_out
+from ..mesh.dual import dual
+from ..mesh.edge_table import Sized
+from ..mesh.geometry import fan_triangles
+from ..mesh.polygons import Floats, PolygonMesh
+from ..mesh.queries.projection import ClosestPoint
+from ..remesh.remeshing import divide, remesh, thin_out
 
 SHEET = 0.15
 """Distance in cell sizes within which an opposite sheet is still told apart by its normals."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import UsageError
-from ..surface.polygons import Floats, PolygonMesh
-from ..surface.solids import solid_of
+from ..mesh.polygons import Floats, PolygonMesh
+from ..mesh.solids import solid_of
 from . import base, lights
 from .base import Place
 from .lights import Cavity, Light, Room
@@ -188,7 +188,7 @@ def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stanc
 
 def centre_of_edges(polygons: PolygonMesh, low: float) -> Floats:
     """Centre of mass ``(3,)`` of equally thick tubes along all edges, of the part above ``low``."""
-    from ..surface.topology import edges
+    from ..mesh.topology import edges
 
     ends = polygons.vertices[edges(polygons)]
     middle = ends.mean(axis=1)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import UsageError
-from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..mesh.polygons import Floats, Ints, PolygonMesh
 from . import assembly, plates, solid, tubes
 from .lamp import Stance
 
 if TYPE_CHECKING:
-    from ..contract import Progress
+    from ..progress import Progress
 
 CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.6, 2.5, 8.0
 """Default tube diameter divided by the radius of the faces, and its limits in nozzle widths."""

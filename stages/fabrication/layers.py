@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..surface.polygons import Floats, Ints
+from ..mesh.polygons import Floats, Ints
 
 MOST_CELLS = 600
 """Number of cells along the longest side of a layer; beyond it the grid is coarser than the

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ..compiled import compiled
-from ..surface.geometry import face_frames
-from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..mesh.geometry import face_frames
+from ..mesh.polygons import Floats, Ints, PolygonMesh
 
 DARK = 0.3
 """Share of the surface's area that stays open at least, so that light gets out."""

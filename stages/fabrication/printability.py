@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.geometry import triangle_areas, triangle_normals
-from ..surface.polygons import Floats, Ints
+from ..mesh.geometry import triangle_areas, triangle_normals
+from ..mesh.polygons import Floats, Ints
 from . import layers
 from .base import TILT, Balance
 from .tubes import TubeGraph
@@ -67,7 +67,7 @@ def wall(
     Twice the distance from a point of an axis, or from the middle of a plate, to the surface.
     ``axes`` are points of tube axes that lie inside the object.
     """
-    from ..surface.triangle_tree import TriangleTree
+    from ..mesh.queries.triangle_tree import TriangleTree
 
     tree = TriangleTree(vertices, triangles)
     found = []

@@ -46,7 +46,7 @@ def check(path: Path) -> PrintCheck:
 
     kind = path.suffix[1:]
     if kind == "3mf":
-        from ..export import threemf
+        from ..formats import threemf
 
         bodies = threemf.read(path.read_bytes())
         count = np.cumsum([0, *(len(body.vertices) for body in bodies)])

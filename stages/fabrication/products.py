@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NumericalFailure, UsageError
-from ..surface.geometry import face_frames
-from ..surface.polygons import Floats, PolygonMesh
-from ..surface.solids import solid_of
+from ..mesh.geometry import face_frames
+from ..mesh.polygons import Floats, PolygonMesh
+from ..mesh.solids import solid_of
 from . import assembly, base, lamp, lattice, printability
 from . import solid as solids
 from .assembly import Part
@@ -20,7 +20,7 @@ from .lattice import Design, Lattice, Shape
 from .printability import Check
 
 if TYPE_CHECKING:
-    from ..contract import Progress
+    from ..progress import Progress
 
 OVERLAP = 0.5
 """Depth in mm by which a solid reaches into its pedestal."""

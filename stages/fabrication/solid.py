@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import NumericalFailure, UsageError
-from ..surface.geometry import fan_triangles
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.solids import solid_of
-from ..surface.topology import edges
+from ..mesh.geometry import fan_triangles
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.solids import solid_of
+from ..mesh.topology import edges
 
 GRID = 128
 """Cells of the distance grid along the longest side; more if the wall would be thinner than two
@@ -32,7 +32,7 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
     import igl
     from manifold3d import Manifold, Mesh64
 
-    from ..surface.triangle_tree import TriangleTree
+    from ..mesh.queries.triangle_tree import TriangleTree
 
     solid = solid_of(surface)
     vertices, triangles, _ = fan_triangles(surface)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.edits import contract_short_edges, reduce_rings
-from ..surface.graph import components
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import edges
+from ..mesh.edits import contract_short_edges, reduce_rings
+from ..mesh.graph import components
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.topology import edges
 
 RISE = 0.02
 """Height in mm by which a raised node lies above its lower neighbour."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..sources.creases import ANGLE, exact
-from ..surface.geometry import face_frames
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import edge_keys
+from ..inputs.creases.sharp_edges import ANGLE, exact
+from ..mesh.geometry import face_frames
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.topology import edge_keys
 
 if TYPE_CHECKING:
-    from ..sources.protocol import Source
-    from ..surface.model_frame import ModelFrame
+    from ..inputs.source import Source
+    from ..mesh.model_frame import ModelFrame
 
 SHARP = 30.0
 """Smallest angle in degrees of a sharp edge of the surface.

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..sources.fields import FieldSource
-from ..surface import geometry
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.subdivision import subdivided
-from ..surface.topology import edge_keys
+from ..inputs.field.source import FieldSource
+from ..mesh import geometry
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.subdivision import subdivided
+from ..mesh.topology import edge_keys
 
 Distance = Callable[[Floats], Floats]
 """A function from points ``(N, 3)`` to their distances ``(N,)``."""

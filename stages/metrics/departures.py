@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..sources.parity import RayParity
-from ..sources.points import PointSource
-from ..sources.projection import ClosestPoint
-from ..surface.geometry import fan_triangles, sample_triangles
-from ..surface.polygons import Floats, PolygonMesh
+from ..inputs.points.source import PointSource
+from ..mesh.geometry import fan_triangles, sample_triangles
+from ..mesh.polygons import Floats, PolygonMesh
+from ..mesh.queries.parity import RayParity
+from ..mesh.queries.projection import ClosestPoint
 from .chamfer import nearest
 
 if TYPE_CHECKING:
-    from ..sources.protocol import Source
-    from ..sources.true_surface import TrueSurface
-    from ..surface.model_frame import ModelFrame
+    from ..inputs.source import Source
+    from ..mesh.model_frame import ModelFrame
+    from ..mesh.queries.true_surface import TrueSurface
 
 SAMPLES = 20_000
 """Number of sample points on the written surface."""

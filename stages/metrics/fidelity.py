@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..sources.projection import ClosestPoint
-from ..sources.true_surface import TrueSurface
-from ..surface.geometry import sample_triangles, triangle_normals
-from ..surface.polygons import Floats, Ints
+from ..mesh.geometry import sample_triangles, triangle_normals
+from ..mesh.polygons import Floats, Ints
+from ..mesh.queries.projection import ClosestPoint
+from ..mesh.queries.true_surface import TrueSurface
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.geometry import enclosed_volume, fan_triangles
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import (
+from ..mesh.geometry import enclosed_volume, fan_triangles
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.queries.intersections import DEPTH, self_intersections
+from ..mesh.topology import (
     CROWDED,
     OPEN,
     TURNED,
@@ -18,7 +19,6 @@ from ..surface.topology import (
     pinched_vertices,
     topology,
 )
-from .intersections import DEPTH, self_intersections
 
 NAMED = 20
 """Number of elements of each kind that a manifest names; the PLY has all."""

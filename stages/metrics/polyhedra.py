@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..surface.geometry import face_sums
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import edges
-from ..voronoi.cells import PolyhedralMesh
+from ..mesh.geometry import face_sums
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.topology import edges
+from ..voronoi.cells.assembly import PolyhedralMesh
 
 BINS = 24
 TINY = np.finfo(float).tiny

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import NumericalFailure
-from ..export import ply
-from ..surface.geometry import enclosed_volume, fan_triangles
-from ..surface.topology import Topology, topology
+from ..formats import ply
+from ..mesh.geometry import enclosed_volume, fan_triangles
+from ..mesh.topology import Topology, topology
 
 
 def as_written(paths: dict[str, Path], certified: Topology | None = None) -> dict[str, Any]:

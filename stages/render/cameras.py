@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 
 RIGID = 1e-3
 """How far a rotation may be from one, as an entry of R R^T - 1."""

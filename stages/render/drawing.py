@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.geometry import triangle_normals
-from ..surface.polygons import Floats, Ints
+from ..mesh.geometry import triangle_normals
+from ..mesh.polygons import Floats, Ints
 from .cameras import Camera
 
 Colours = Callable[[Ints, Floats], Floats]

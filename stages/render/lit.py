@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NumericalFailure
-from ..surface.polygons import Ints
+from ..mesh.polygons import Ints
 
 AZIMUTH, ELEVATION = -60.0, 16.0
 """Of the camera, in degrees."""
@@ -56,8 +56,8 @@ def png(
 
     Raises NumericalFailure when Mitsuba fails.
     """
-    from ..export import ply
-    from ..surface.polygons import PolygonMesh
+    from ..formats import ply
+    from ..mesh.polygons import PolygonMesh
 
     with tempfile.TemporaryDirectory() as folder:
         mesh, target = Path(folder) / "object.ply", Path(folder) / "object.png"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.polygons import Floats, Ints
+from ..mesh.polygons import Floats, Ints
 
 SUPERSAMPLING = 2
 BACKGROUND = np.array([1.0, 1.0, 1.0])

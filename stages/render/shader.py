@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 
 OCTAVES = 4
 CODED = 3 + 6 * OCTAVES

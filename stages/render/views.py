@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 from .cameras import Camera
 
 UNIT = 32767

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..artifacts.run_folder import RunFolder
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 from .surfaces import MODES, Shape
 from .tables import number
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..artifacts.run_folder import RunFolder
+from ..inputs.resolve import recorded_up
+from ..mesh.geometry import fan_triangles
+from ..mesh.polygons import Floats, Ints, PolygonMesh
 from ..render import image_file, lit, raster
-from ..sources.resolve import recorded_up
-from ..surface.geometry import fan_triangles
-from ..surface.polygons import Floats, Ints, PolygonMesh
 
 SURFACE = np.array([0.56, 0.72, 0.88])
 INNER = np.array([0.98, 0.75, 0.42])
@@ -77,7 +77,7 @@ def printed(folder: RunFolder) -> tuple[Floats, Ints]:
 
     Raises ArtifactError when its file is not the one that was written.
     """
-    from ..export import ply
+    from ..formats import ply
 
     mesh = ply.decode(folder.output("fabricate", "ply"))
     assert mesh is not None

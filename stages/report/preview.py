@@ -11,24 +11,24 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from ..artifacts import atomic
 from ..artifacts.run_folder import RunFolder
-from ..losses.images import visible
+from ..inputs.mesh.source import MeshSource
+from ..inputs.points.source import PointSource
+from ..inputs.resolve import up_axis
+from ..inputs.views.pictures import colours
+from ..inputs.views.source import ViewSource
+from ..mesh.geometry import fan_triangles
+from ..mesh.model_frame import ModelFrame
+from ..mesh.polygons import Floats, Ints
+from ..mesh.queries.true_surface import true_surface
+from ..mesh.topology import bad_edges
 from ..render import image_file, raster
 from ..render.views import COVERED
-from ..sources.images import ViewSource
-from ..sources.mesh import MeshSource
-from ..sources.points import PointSource
-from ..sources.resolve import up_axis
-from ..sources.true_surface import true_surface
-from ..sources.view_pictures import colours
-from ..surface.geometry import fan_triangles
-from ..surface.model_frame import ModelFrame
-from ..surface.polygons import Floats, Ints
-from ..surface.topology import bad_edges
+from ..training.losses.images import visible
 from .pictures import AZIMUTH
 
 if TYPE_CHECKING:
     from ..artifacts.hdf5 import Arrays
-    from ..sources.protocol import Source
+    from ..inputs.source import Source
 
 FOUND, WRONG, VOXEL, BAND = (
     np.array(rgb)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..artifacts.run_folder import RunFolder
+from ..mesh.polygons import Floats, Ints
 from ..render import image_file, raster
-from ..surface.polygons import Floats, Ints
 from .pictures import PRINT, printed
 from .tables import table
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..mesh.polygons import Floats, Ints, PolygonMesh
 
 TRIANGLES = 200_000
 """Largest number of triangles of a surface on a page, which a browser without a graphics card can

@@ -14,9 +14,9 @@ from ..artifacts.hdf5 import Arrays
 from ..artifacts.manifest import Manifest
 from ..artifacts.run_folder import RunFolder
 from ..errors import InputError
-from ..sources.resolve import identify_path
-from ..surface.geometry import face_frames, face_sums
-from ..surface.polygons import Floats, PolygonMesh
+from ..inputs.resolve import identify_path
+from ..mesh.geometry import face_frames, face_sums
+from ..mesh.polygons import Floats, PolygonMesh
 from .pictures import INNER, PRINT, SURFACE, cut_open, printed
 from .simplify import TRIANGLES, clustered, simplified, thinned, voxel_surface
 
@@ -125,13 +125,13 @@ def _same(folder: RunFolder, entry: dict[str, Any]) -> Path:
 
 
 def _mesh(path: Path) -> Shape:
-    from ..sources.mesh_file import load
+    from ..formats.mesh_file import load
 
     return _fewer(Shape("input", "Input", "input", load(path).polygons, colour=INPUT))
 
 
 def _cloud(path: Path, columns: str | None) -> Shape:
-    from ..sources.cloud_file import load
+    from ..formats.cloud_file import load
 
     points = load(path, columns).points
     shown = thinned(points, POINTS)
@@ -144,7 +144,7 @@ def _cloud(path: Path, columns: str | None) -> Shape:
 
 def _fewer(shape: Shape) -> Shape:
     """``shape`` with at most as many triangles as a page can draw."""
-    from ..surface.geometry import fan_triangles
+    from ..mesh.geometry import fan_triangles
 
     mesh = shape.mesh
     assert mesh is not None

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.polygons import Floats
+from ..mesh.polygons import Floats
 from .surfaces import MODES, Shape
 
 STOPS = (

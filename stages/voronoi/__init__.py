@@ -1,1 +1,1 @@
-"""Voronoi diagrams: generators, interfaces, cells, and the certificate of a surface."""
+"""Voronoi diagrams, the surface between generators inside and outside, and its certificate."""

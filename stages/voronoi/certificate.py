@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sources.parity import RayParity
-from ..surface.geometry import face_frames, fan_triangles
-from ..surface.polygons import Floats, Ints, PolygonMesh
-from ..surface.topology import bad_edges
+from ..mesh.geometry import face_frames, fan_triangles
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.queries.parity import RayParity
+from ..mesh.topology import bad_edges
 
 TAU = 1e-8
 """Largest ``|power|`` of a face's generator to a sphere of its corners, in units of h0^2."""

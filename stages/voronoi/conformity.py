@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..surface.geometry import face_frames
-from .interface import VoronoiSurface
+from ..mesh.geometry import face_frames
+from .diagram.interface import VoronoiSurface
 from .trained_surface import TrainedSurface
 
 
@@ -34,7 +34,7 @@ def conformity(
     surface: VoronoiSurface, trained: TrainedSurface, threads: int = 1, spacing: float = 1.0
 ) -> Conformity:
     """Compare the interface ``surface`` of the generators of ``trained`` with its faces."""
-    from ..surface.spheres import near_pairs
+    from ..mesh.spheres import near_pairs
 
     area, _, _ = face_frames(surface.mesh)
     owner = trained.faces_of_generators[surface.generators]

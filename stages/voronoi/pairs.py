@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..sources.parity import RayParity
-from ..surface.geometry import face_frames, fan_triangles
-from ..surface.polygons import Floats, PolygonMesh
+from ..mesh.geometry import face_frames, fan_triangles
+from ..mesh.polygons import Floats, PolygonMesh
+from ..mesh.queries.parity import RayParity
 
 CLOSER = 6
 """How often a pair on one side of the surface is moved across it, each time with half the

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface.model_frame import ModelFrame
-from ..surface.polygons import Floats, Ints, PolygonMesh
+from ..mesh.model_frame import ModelFrame
+from ..mesh.polygons import Floats, Ints, PolygonMesh
 from .certificate import Certificate, certify
-from .interface import VoronoiSurface, interface
+from .diagram.interface import VoronoiSurface, interface
 
 
 @dataclass(frozen=True)

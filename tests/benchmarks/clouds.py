@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from surfaces import cli
 
-from vorolight.stages.sources.mesh import MeshSource
+from vorolight.stages.inputs.mesh.source import MeshSource
 
 F1_AT = 0.01
 """Of the longest side."""

@@ -13,9 +13,9 @@ import panels
 from surfaces import cli, metrics
 
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.mesh.geometry import fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.render import image_file, raster
-from vorolight.stages.surface.geometry import fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
 
 SHORT, LONG = np.array([0.80, 0.20, 0.16]), np.array([0.20, 0.42, 0.78])
 """Colours of the shortest and the longest edges; what is between goes by way of white."""

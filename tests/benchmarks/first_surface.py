@@ -17,15 +17,17 @@ import numpy as np
 import torch
 from results import write
 
-from vorolight.stages import init, pipeline, standing
+from vorolight.stages import init
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.classify import Params
+from vorolight.stages.engine import runner
+from vorolight.stages.engine.session import Session
 from vorolight.stages.init import DEFAULTS, surface_losses
-from vorolight.stages.losses.shape import Distance
-from vorolight.stages.optimize.loop import Moments
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.sources.true_surface import true_surface
-from vorolight.stages.surface.model_frame import ModelFrame
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.queries.true_surface import true_surface
+from vorolight.stages.solvers.adam import Moments
+from vorolight.stages.training.losses.shape import Distance
 
 SHOWN = (5, 10, 20, 40)
 WEIGHTS = {
@@ -70,9 +72,9 @@ METHODS = {
 
 def study(shape: str, n: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        session = standing.Session(RunFolder(Path(folder) / "run"), identify(shape))
-        pipeline.execute(session, "classify", Params(n_init=n))
-        pipeline.execute(session, "init", init.Params(iterations=0))
+        session = Session(RunFolder(Path(folder) / "run"), identify(shape))
+        runner.execute(session, "classify", Params(n_init=n))
+        runner.execute(session, "init", init.Params(iterations=0))
         frame = ModelFrame.of(session.folder.arrays("classify", "classify"))
         arrays = session.folder.arrays("init", "init")
     start, inside = frame.model_from_input(arrays["generators"]), arrays["generator_inside"]

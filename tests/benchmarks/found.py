@@ -16,10 +16,10 @@ import igl
 import numpy as np
 from surfaces import cli
 
-from vorolight.stages.export import ply
-from vorolight.stages.sources.mesh import MeshSource
-from vorolight.stages.sources.resolve import identify
-from vorolight.stages.surface.geometry import fan_triangles, sample_triangles, triangle_normals
+from vorolight.stages.formats import ply
+from vorolight.stages.inputs.mesh.source import MeshSource
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.mesh.geometry import fan_triangles, sample_triangles, triangle_normals
 
 SAMPLES, WITHIN, RAYS, ASIDE = 20_000, 1.5, 200, 1e-3
 

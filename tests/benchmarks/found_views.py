@@ -26,10 +26,10 @@ import numpy as np
 from PIL import Image
 
 from vorolight.stages.artifacts import hdf5
+from vorolight.stages.inputs.views import coloured, six_views
+from vorolight.stages.inputs.views.six_views import NAMES
+from vorolight.stages.mesh.queries.projection import ClosestPoint
 from vorolight.stages.render import drawing
-from vorolight.stages.sources import coloured, six_views
-from vorolight.stages.sources.projection import ClosestPoint
-from vorolight.stages.sources.six_views import NAMES
 
 LIMIT = 0.04
 SAID = ("do not fit", "makes them agree", "make them agree")

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from results import write
 
-from vorolight.stages.voronoi.delaunay import backend, in_passing
-from vorolight.stages.voronoi.interface import interface
+from vorolight.stages.voronoi.diagram.delaunay import backend, in_passing
+from vorolight.stages.voronoi.diagram.interface import interface
 
 
 def pairs_on_a_sphere(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -45,9 +45,9 @@ def timed(owner: Any, name: str, what: str) -> None:
 
 
 def instrument() -> None:
-    from vorolight.stages import standing
     from vorolight.stages.artifacts import atomic, checkpoints, fingerprint, lock, log, manifest
     from vorolight.stages.artifacts.run_folder import RunFolder
+    from vorolight.stages.engine import freshness
 
     for name in ("save", "latest", "clear"):
         timed(checkpoints.Checkpoints, name, "checkpoints")
@@ -61,7 +61,7 @@ def instrument() -> None:
     for name in ("move", "sweep", "make_folder"):
         timed(atomic, name, "manifests")
     timed(lock, "_put", "lock")
-    timed(standing, "state", "manifests")
+    timed(freshness, "state", "manifests")
 
 
 def main() -> None:
@@ -70,22 +70,21 @@ def main() -> None:
     parser.add_argument("-n", type=int, default=25)
     asked = parser.parse_args()
     sys.path.insert(0, os.fspath(Path(__file__).parent))
-    from vorolight.stages import pipeline, standing
     from vorolight.stages.artifacts.run_folder import RunFolder
-    from vorolight.stages.sources.resolve import identify
+    from vorolight.stages.engine import registry, runner
+    from vorolight.stages.engine.session import Session
+    from vorolight.stages.inputs.resolve import identify
 
     instrument()
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        session = standing.Session(
-            RunFolder(Path(folder) / "run"), input=identify(os.fspath(asked.input))
-        )
+        session = Session(RunFolder(Path(folder) / "run"), input=identify(os.fspath(asked.input)))
         for name in ("classify", "init", "sphere-train", "volume", "evaluate", "fabricate"):
-            stage = standing.get(name)
+            stage = registry.get(name)
             options = {"classify": {"n_init": asked.n}, "fabricate": {"lamp": True}}
             SPENT.clear()
             begun = time.perf_counter()
-            pipeline.execute(session, name, stage.params(**options.get(name, {})))
+            runner.execute(session, name, stage.params(**options.get(name, {})))
             took = time.perf_counter() - begun
             rows.append({"stage": name, "seconds": took, **SPENT})
     kinds = [

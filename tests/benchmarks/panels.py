@@ -9,12 +9,12 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from vorolight.stages.artifacts.run_folder import RunFolder
+from vorolight.stages.engine.freshness import recorded_input
+from vorolight.stages.inputs.resolve import up_axis
+from vorolight.stages.mesh.geometry import fan_triangles
+from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.render import image_file, raster
 from vorolight.stages.report import pictures, preview
-from vorolight.stages.sources.resolve import up_axis
-from vorolight.stages.standing import recorded_input
-from vorolight.stages.surface.geometry import fan_triangles
-from vorolight.stages.surface.polygons import PolygonMesh
 
 CAPTION = 22
 """Height of a line of words in pixels."""

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from vorolight.stages.losses.images import Silhouettes
+from vorolight.stages.inputs.views.writer import around
 from vorolight.stages.render.views import Views
-from vorolight.stages.sources.view_writer import around
+from vorolight.stages.training.losses.images import Silhouettes
 
 VIEWS, SIZE, REPEATS = 16, 256, 7
 

@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 from surfaces import cli
 
-from vorolight.stages.export import ply
-from vorolight.stages.sources.mesh_file import load
-from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.formats import ply
+from vorolight.stages.formats.mesh_file import load
+from vorolight.stages.mesh.polygons import PolygonMesh
 
 
 def row(mesh: PolygonMesh, n: int, scale: float, shift: float, turn: np.ndarray) -> list[str]:

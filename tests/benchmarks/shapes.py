@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from vorolight.stages.export import ply
-from vorolight.stages.sources.fields import FieldSource
-from vorolight.stages.sources.samples import sample
-from vorolight.stages.surface.geometry import limited
-from vorolight.stages.surface.polygons import PolygonMesh
+from vorolight.stages.formats import ply
+from vorolight.stages.inputs.field.source import FieldSource
+from vorolight.stages.inputs.samples import sample
+from vorolight.stages.mesh.geometry import limited
+from vorolight.stages.mesh.polygons import PolygonMesh
 
 Surface = tuple[np.ndarray, np.ndarray]
 SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb")

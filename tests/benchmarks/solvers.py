@@ -20,12 +20,14 @@ from results import write
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from vorolight.stages import classify, init, pipeline, sphere_train, standing
+from vorolight.stages import classify, init, sphere_train
 from vorolight.stages.artifacts.run_folder import RunFolder
-from vorolight.stages.optimize import conforming, polygons
-from vorolight.stages.optimize.descent import descend
-from vorolight.stages.optimize.least_squares import ITERATIONS, TOLERANCE, GaussNewton
-from vorolight.stages.sources.resolve import identify
+from vorolight.stages.engine import runner
+from vorolight.stages.engine.session import Session
+from vorolight.stages.inputs.resolve import identify
+from vorolight.stages.solvers.gauss_newton import descend
+from vorolight.stages.solvers.least_squares import ITERATIONS, TOLERANCE, GaussNewton
+from vorolight.stages.training import conforming, polygons
 
 SEEN = {"triangle": 12, "polygon": 10}
 """The step whose system is taken."""
@@ -56,12 +58,12 @@ def system(shape: str, n: int, faces: str) -> tuple[GaussNewton, float]:
         return state, np.concatenate(losses), damping
 
     with tempfile.TemporaryDirectory() as folder:
-        session = standing.Session(RunFolder(Path(folder) / "run"), identify(shape))
-        pipeline.execute(session, "classify", classify.Params(n_init=n))
-        pipeline.execute(session, "init", init.Params())
+        session = Session(RunFolder(Path(folder) / "run"), identify(shape))
+        runner.execute(session, "classify", classify.Params(n_init=n))
+        runner.execute(session, "init", init.Params())
         module.descend = spied
         try:
-            pipeline.execute(session, "sphere-train", sphere_train.Params(faces=faces))
+            runner.execute(session, "sphere-train", sphere_train.Params(faces=faces))
         except Captured:
             return found[0]
         finally:

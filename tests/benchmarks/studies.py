@@ -80,7 +80,7 @@ def noise(given: Settings) -> str:
 
 def _cloud(given: Settings, path: Path, sigma: float) -> Path:
     """Points of a mesh with noise, as a file."""
-    from vorolight.stages.sources.mesh import MeshSource
+    from vorolight.stages.inputs.mesh.source import MeshSource
 
     target = given.work / "clouds" / f"{path.stem}-noise{sigma:g}.npy"
     if not target.is_file():

@@ -1,0 +1,1 @@
+"""What runs stages: their declaration, what is stale, records, options, export."""

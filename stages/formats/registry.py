@@ -1,0 +1,90 @@
+"""The file formats of polyhedral meshes, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..artifacts import hdf5
+from ..errors import InputError
+from ..mesh.polygons import Floats
+from ..voronoi.cells.assembly import PolyhedralMesh
+from . import ovm, ply, poly_mesh, tetrahedra, vtu
+
+
+@dataclass(frozen=True)
+class Volume:
+    """What is exported: cells, data by cell ``(C,)``, a point of each cell ``(C, 3)``."""
+
+    mesh: PolyhedralMesh
+    data: Mapping[str, Any]
+    points: Floats
+
+
+@dataclass(frozen=True)
+class Format:
+    """The name of a format and how it is written."""
+
+    suffix: str
+    """Suffix of its file; empty for a folder."""
+    about: str
+    encode: Callable[[Volume], dict[str, bytes]]
+    """Bytes by path within the folder; a single file has the path ``""``."""
+
+
+def _split(volume: Volume) -> tetrahedra.Split:
+    found = tetrahedra.split(volume.mesh, volume.points)
+    if found.turned:
+        raise InputError(
+            f"{found.turned} of {len(found.tetrahedra)} tetrahedra have no volume, or a "
+            "negative one, since cells near the surface are faulty; lower --sliver of stage "
+            "volume, or train the surface until it has a certificate"
+        )
+    return found
+
+
+def _vtu_tetrahedra(volume: Volume) -> bytes:
+    found = _split(volume)
+    data = {name: np.asarray(volume.data[name])[found.cell] for name in ("generator", "role")}
+    return vtu.encode_tetrahedra(found.vertices, found.tetrahedra, {"cell": found.cell, **data})
+
+
+def _ply(volume: Volume) -> bytes:
+    mesh = volume.mesh
+    outer = mesh.neighbour < 0
+    owner = mesh.owner[outer]
+    data = {"cell": owner, **{name: np.asarray(volume.data[name])[owner] for name in volume.data}}
+    return ply.encode(mesh.boundary.without_unused_vertices(), face_data=data)
+
+
+def _hdf5(volume: Volume) -> bytes:
+    mesh = volume.mesh
+    arrays = {
+        **mesh.faces.as_arrays(),
+        "face_owner": mesh.owner,
+        "face_neighbour": mesh.neighbour,
+        **{f"cell/{name}": np.asarray(values) for name, values in volume.data.items()},
+    }
+    return hdf5.encode(None, arrays, {})
+
+
+def _file(encode: Callable[[Volume], bytes]) -> Callable[[Volume], dict[str, bytes]]:
+    return lambda volume: {"": encode(volume)}
+
+
+FORMATS: dict[str, Format] = {
+    "vtu": Format("vtu", "polyhedra for ParaView", _file(lambda v: vtu.encode(v.mesh, v.data))),
+    "openfoam": Format("", "an OpenFOAM case", lambda v: poly_mesh.encode(v.mesh)),
+    "ovm": Format("ovm", "OpenVolumeMesh", _file(lambda v: ovm.encode(v.mesh))),
+    "vtu-tetrahedra": Format("vtu", "tetrahedra for ParaView", _file(_vtu_tetrahedra)),
+    "msh": Format("msh", "Gmsh, tetrahedra", _file(lambda v: tetrahedra.encode_msh(_split(v)))),
+    "inp": Format(
+        "inp", "Abaqus or CalculiX, tetrahedra", _file(lambda v: tetrahedra.encode_inp(_split(v)))
+    ),
+    "ply": Format("ply", "the outer faces, also of a cut", _file(_ply)),
+    "hdf5": Format("h5", "flat arrays", _file(_hdf5)),
+}
+"""The first format with a suffix is the default for files with that suffix."""

@@ -1,0 +1,1 @@
+"""Shapes: one folder for every kind of input, behind one protocol."""

@@ -1,0 +1,1 @@
+"""The creases of an input."""

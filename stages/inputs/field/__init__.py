@@ -1,0 +1,1 @@
+"""Implicit fields as input: built-in ones, formulas, functions, grids."""

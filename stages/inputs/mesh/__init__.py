@@ -1,0 +1,1 @@
+"""Triangle and polygon meshes as input."""

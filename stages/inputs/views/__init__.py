@@ -1,0 +1,1 @@
+"""Calibrated photographs and drawings as input."""

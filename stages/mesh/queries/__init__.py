@@ -1,0 +1,1 @@
+"""Questions to a mesh: closest points, what is inside, thickness, crossing triangles."""

@@ -1,0 +1,1 @@
+"""Remeshing of closed triangle surfaces, and the edge lengths that it aims at."""

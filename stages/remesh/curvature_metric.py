@@ -1,0 +1,93 @@
+"""Triangles that are long where the surface bends less: the metric of its curvature.
+
+Over a triangle with edges of lengths a and b along the principal directions the distance to the
+surface grows with ``|k1| a^2 + |k2| b^2``; of a given area it is least where the two are equal: for
+equilateral triangles in a metric in proportion to the curvature (Alliez et al. 2003).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..mesh.edge_table import Sized
+from ..mesh.geometry import triangle_normals, vertex_normals
+from ..mesh.polygons import Floats, Ints
+
+LONGEST = 2.0
+"""Of an edge along the direction of least curvature, over one across it."""
+SMOOTHINGS = 2
+"""Rounds in which curvatures are averaged over the triangles around each vertex."""
+FLAT = 0.3
+"""How far an edge is from the surface, over the mean of the shape, up to which that is flat."""
+SMALL = 1e-9
+"""The same of a shape that is flat everywhere, in units of h0."""
+AT_CREASES = 1e-3
+"""Weight of triangles at creases once others have said what they know."""
+
+
+def metrics(mesh: Sized) -> Floats:
+    """The metric at each vertex ``(V, 3, 3)``, of determinant 1, and 1 along the normal."""
+    normal = vertex_normals(mesh.vertices, mesh.triangles)
+    bending, axes = _bending(mesh, normal)
+    count = len(mesh.vertices)
+    _, area = triangle_normals(mesh.vertices, mesh.triangles)
+    # Normals on a crease are of neither side.
+    weight = np.where((mesh.rank[mesh.triangles] > 0).any(axis=1), 0.0, area)
+    tensor = np.einsum("tai,tab,tbj->tij", axes, bending, axes)
+    for _ in range(SMOOTHINGS):
+        mean, total = _spread(mesh.triangles, tensor * weight[:, None, None], weight, count)
+        mean /= np.maximum(total, np.finfo(float).tiny)[:, None, None]
+        tensor = mean[mesh.triangles].mean(axis=1)
+        weight = np.where(weight > 0, weight, AT_CREASES * area)
+    # In the tangent plane of each vertex.
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    frame = np.stack([first, np.cross(normal, first)], axis=1)
+    value, vector = np.linalg.eigh(np.einsum("vai,vij,vbj->vab", frame, mean, frame))
+    # What bends too little for its edges to show has no directions.
+    bend = np.abs(value) * mesh.length[:, None] ** 2
+    size = np.maximum(bend, FLAT * bend.max(axis=1).mean() + SMALL)
+    size = np.maximum(size, size.max(axis=1, keepdims=True) / LONGEST**2)
+    # Beside creases long triangles leave their spheres no room.
+    near = mesh.rank > 0
+    near[mesh.triangles[near[mesh.triangles].any(axis=1)]] = True
+    size[near] = 1.0
+    size /= np.sqrt(size.prod(axis=1, keepdims=True))
+    along = np.einsum("vab,vai->vbi", vector, frame)
+    found = np.einsum("vb,vbi,vbj->vij", size, along, along)
+    return np.asarray(found + normal[:, :, None] * normal[:, None, :])
+
+
+def _spread(triangles: Ints, tensor: Floats, weight: Floats, count: int) -> tuple[Floats, Floats]:
+    """Sums of the tensors and weights of the triangles around each vertex."""
+    flat = triangles.reshape(-1)
+    total = np.asarray(np.bincount(flat, np.repeat(weight, 3), minlength=count), np.float64)
+    sums = np.zeros((count, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            sums[:, i, j] = np.bincount(flat, np.repeat(tensor[:, i, j], 3), minlength=count)
+    return sums, total
+
+
+def _bending(mesh: Sized, normal: Floats) -> tuple[Floats, Floats]:
+    """The second fundamental form of each triangle ``(T, 2, 2)``, by how normals change along its
+    edges (Rusinkiewicz 2004), and the axes ``(T, 2, 3)`` that it is given in."""
+    corners, normals = mesh.vertices[mesh.triangles], normal[mesh.triangles]
+    way = np.roll(corners, -1, axis=1) - corners
+    turn = np.roll(normals, -1, axis=1) - normals
+    first = way[:, 0] / np.maximum(np.linalg.norm(way[:, 0], axis=1, keepdims=True), 1e-300)
+    facing, _ = triangle_normals(mesh.vertices, mesh.triangles)
+    axes = np.stack([first, np.cross(facing, first)], axis=1)
+    u, v = np.einsum("tki,tai->atk", way, axes)
+    du, dv = np.einsum("tki,tai->atk", turn, axes)
+    # du = a u + b v and dv = b u + c v, by least squares for (a, b, c).
+    uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
+    zero = 0 * uu
+    matrix = np.stack(
+        [np.stack([uu, uv, zero], 1), np.stack([uv, uu + vv, uv], 1), np.stack([zero, uv, vv], 1)],
+        axis=1,
+    )
+    right = np.stack([(u * du).sum(1), (v * du + u * dv).sum(1), (v * dv).sum(1)], axis=1)
+    tiny = 1e-9 * np.trace(matrix, axis1=1, axis2=2)[:, None, None] + 1e-300
+    a, b, c = np.linalg.solve(matrix + tiny * np.eye(3), right[:, :, None])[:, :, 0].T
+    return np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], axis=1), axes

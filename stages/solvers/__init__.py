@@ -1,0 +1,1 @@
+"""Numerical solvers: least squares, Gauss-Newton steps, Adam, Laplacian smoothing."""

@@ -1,0 +1,115 @@
+"""Damped Gauss-Newton steps for sparse least squares (Levenberg 1944, Marquardt 1963)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..mesh.polygons import Floats, Ints
+from .products import Product, product
+
+TOLERANCE, ITERATIONS = 1e-2, 80
+"""Of the conjugate gradients; a step need not be exact."""
+STEEP = 100.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """Residuals ``(R,)`` and the entries of their Jacobian: ``rows, columns, values (N,)``."""
+
+    rows: Ints
+    columns: Ints
+    values: Floats
+    residual: Floats
+
+    @classmethod
+    def dense(cls, columns: Ints, values: Floats, residual: Floats) -> Block:
+        """Rows of as many entries each, ``columns, values (R, k)``."""
+        width = int(np.prod(columns.shape[1:]))
+        rows = np.repeat(np.arange(len(residual)), width)
+        return cls(rows, columns.reshape(-1), values.reshape(-1), residual)
+
+
+@dataclass(frozen=True)
+class GaussNewton:
+    """Steps that lessen ``sum residual^2`` over the unknowns that are ``free (U,)``, each measured
+    in its ``units (U,)``."""
+
+    blocks: Sequence[Block]
+    free: NDArray[np.bool_]
+    units: Floats | None = None
+    threads: int = 1
+
+    @cached_property
+    def _system(self) -> tuple[Any, Any, Floats, Floats]:
+        """The Jacobian, its transpose, the gradient and the squares of the columns."""
+        from scipy.sparse import csr_array
+
+        ends = np.cumsum([len(block.residual) for block in self.blocks])
+        starts = ends - [len(block.residual) for block in self.blocks]
+        rows = np.concatenate([b.rows + at for b, at in zip(self.blocks, starts, strict=True)])
+        columns = np.concatenate([block.columns for block in self.blocks])
+        values = np.concatenate([block.values for block in self.blocks])
+        residual = np.concatenate([block.residual for block in self.blocks])
+        used = self.free[columns] & (values != 0)
+        number = np.cumsum(self.free) - 1
+        # Rows without a free unknown have no part in the step.
+        kept = np.zeros(ends[-1], dtype=bool)
+        kept[rows[used]] = True
+        rows = (np.cumsum(kept) - 1)[rows[used]]
+        shape = (int(kept.sum()), int(self.free.sum()))
+        # Half the memory to go through in a product, wherever that many suffice.
+        index = np.int32 if max(len(rows), *shape) < 2**31 else np.int64
+        places = rows.astype(index), number[columns[used]].astype(index)
+        jacobian = csr_array((values[used], places), shape=shape)
+        transpose = jacobian.T.tocsr()
+        squares = np.bincount(jacobian.indices, jacobian.data**2, minlength=shape[1])
+        gradient = np.asarray(transpose @ residual[kept])
+        return jacobian, transpose, gradient, np.asarray(squares, np.float64)
+
+    def step(self, damping: float | Floats) -> Floats:
+        """The step ``(U,)`` with ``damping``, one for all or ``(U,)``, in units of the mean square
+        of a column, where those above STEEP medians count as that much."""
+        jacobian, transpose, gradient, squares = self._system
+        result = np.zeros(len(self.free))
+        if not gradient.any():
+            return result
+        units = np.ones(len(squares)) if self.units is None else self.units[self.free]
+        each = np.broadcast_to(damping, len(self.free))[self.free]
+        square = squares * units**2
+        # A few that are steep may not hold all others back.
+        typical = np.median(square[square > 0])
+        shift = each * np.minimum(square, STEEP * typical).mean() / units**2
+        with ThreadPoolExecutor(self.threads) as pool:
+            first, second = (product(m, pool, self.threads) for m in (jacobian, transpose))
+            result[self.free] = conjugate_gradients(
+                lambda x: second(first(x)) + shift * x, -gradient, 1 / (squares + shift)
+            )
+        return result
+
+
+def conjugate_gradients(product: Product, right: Floats, inverse: Floats) -> Floats:
+    """``x (U,)`` with ``product(x)`` about ``right``; a diagonal's ``inverse`` preconditions it."""
+    x, rest = np.zeros_like(right), right.copy()
+    # Measured as the preconditioner does: else steep unknowns would hide all others.
+    close = TOLERANCE**2 * (right @ (inverse * right))
+    direction, before = np.zeros_like(right), 1.0
+    for _ in range(ITERATIONS):
+        scaled = inverse * rest
+        now = float(rest @ scaled)
+        if now <= close:
+            break
+        direction *= now / before
+        direction += scaled
+        before = now
+        image = product(direction)
+        length = now / float(direction @ image)
+        x += length * direction
+        rest -= length * image
+    return x

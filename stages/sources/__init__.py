@@ -1,1 +1,0 @@
-"""Every kind of input behind one protocol."""

@@ -1,1 +1,0 @@
-"""The polygon mesh: flat arrays, geometry, topology."""

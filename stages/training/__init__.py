@@ -1,0 +1,1 @@
+"""Training of the surface: spheres on triangles and polygons, and the paper's own."""

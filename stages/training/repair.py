@@ -1,0 +1,185 @@
+"""Better triangles where spheres hold generators that are not their own: contracted, flipped, made
+round, and with more room to move; and triangles divided where the shape asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..mesh.creases import drawn_on, give_up
+from ..mesh.edge_table import EdgeTable, Sized
+from ..mesh.polygons import Floats
+from ..mesh.queries.intersections import self_intersections
+from ..remesh.embedding import embedded, kept_embedded
+from ..remesh.fitting import fit
+from ..remesh.length_field import GRADATION
+from ..remesh.operations import Gain, contract_short, delaunay_gain, flip, split_long
+from ..remesh.remeshing import astray, keeping, relax, unfold
+from ..remesh.sheets import draw_back, part, smooth
+from .spheres import FIRST_RADIUS, Spheres, edge_lengths, intrusion_gain, rings_around
+
+if TYPE_CHECKING:
+    from ..mesh.creases import Creases
+    from ..mesh.queries.true_surface import TrueSurface
+
+PATIENCE = 2
+"""Rounds in which only edges are contracted and flipped, before the surface is let go."""
+RELEASE, LOOSEST = 0.3, 0.003
+"""Factor to the shape's weight around an intruder in each later round, and the least it becomes."""
+SETTLED = (0.55, 0.9)
+"""Radii around an intruder are brought back to these limits, in edge lengths."""
+RINGS = 3
+"""Rings of vertices around an intruder's that move in a round."""
+SHORT = 0.5
+"""Edges around an intruder shorter than this are contracted, in edge lengths."""
+FINEST = 0.05
+"""The least length in units of h0 of edges where what resists is made round."""
+ROUNDINGS = 2
+"""How often that is smoothed, parted and remeshed in a round."""
+PASSES, STEP = 4, 0.3
+"""Rounds of dividing, flipping and fitting, and the share of the way to the middle of its triangles
+that a vertex goes in each."""
+DIVIDED = 1.1
+"""Edges longer than this many of their wanted lengths are halved."""
+CONTRACTED = 0.6
+"""Edges shorter than this many are contracted."""
+CHANGED = 0.999
+"""Share of its length that a vertex is below where something changes."""
+
+
+def mended(
+    spheres: Spheres, intruded: NDArray[np.bool_], surface: TrueSurface
+) -> tuple[Spheres, NDArray[np.bool_]]:
+    """Spheres with better triangles, and more room around the intruders, and which vertices may
+    move, ``(V,)``.
+
+    At first short edges are contracted and others flipped. Where that does not help, the pull to
+    the true surface is lessened, then creases are given up and the surface is made round.
+    """
+    triangles = spheres.triangles
+    wrong = intruded.copy()
+    wrong[triangles[astray(spheres.as_mesh(), surface)]] = True
+    near = rings_around(triangles, wrong, 1)
+    age = spheres.age + near
+    old, oldest = (wrong & (age > patience) for patience in (PATIENCE, 2 * PATIENCE))
+    loose = rings_around(triangles, old, 1) | rings_around(triangles, oldest, 2)
+    less = np.minimum(spheres.hold, np.maximum(RELEASE * spheres.hold, LOOSEST))
+    mesh = replace(spheres, hold=np.where(loose, less, spheres.hold), age=age).as_mesh()
+    give_up(mesh, np.flatnonzero(rings_around(triangles, oldest, 1)))
+    free = rings_around(triangles, wrong, RINGS) | rings_around(triangles, old, 2 * RINGS)
+    mesh.carried = np.concatenate([mesh.carried, near[:, None], free[:, None]], axis=1)
+    if old.any():
+        loose = rings_around(triangles, old, RINGS)
+        if len(self_intersections(mesh.vertices, triangles)):
+            draw_back(mesh, loose)
+        part(mesh, loose)
+    if oldest.any():
+        rounded(mesh, rings_around(triangles, oldest, 1))
+    _contract(mesh, SHORT, mesh.carried[:, -2] > 0)
+    unfold(mesh, surface)
+    near, free = (mesh.carried[:, -2:] > 0).T
+    _flip(mesh, keeping(surface, intrusion_gain), near)
+    mesh.length = np.where(near, edge_lengths(mesh.vertices, mesh.triangles), mesh.length)
+    low, high = (limit * mesh.length for limit in SETTLED)
+    radii = mesh.carried[:, 0]
+    mesh.carried[:, 0] = np.where(near, np.clip(radii, low, high), radii)
+    return Spheres.of_mesh(mesh), free
+
+
+def rounded(mesh: Sized, where: NDArray[np.bool_]) -> None:
+    """Make the surface ``where (V,)`` round and as thick as its shortest edges are long, with even
+    triangles: what is too sharp or too thin for spheres becomes blunt, and keeps its topology."""
+    table, own = EdgeTable.of(mesh.triangles), mesh.length
+    length, longest = edge_lengths(mesh.vertices, mesh.triangles), own.copy()
+    np.maximum.at(longest, table.ends, table.lengths(mesh.vertices)[:, None])
+    for _ in range(2):
+        least = length.copy()
+        for here, there in (table.ends.T, table.ends[:, ::-1].T):
+            np.minimum.at(least, here, length[there])
+        length = least
+    # Elsewhere no edge is longer than it is to be.
+    mesh.length = np.where(where, np.maximum(length, FINEST), longest)
+    mesh.carried = np.concatenate([mesh.carried, where[:, None], own[:, None]], axis=1)
+    for _ in range(ROUNDINGS):
+        where = mesh.carried[:, -2] > 0
+        smooth(mesh, where)
+        part(mesh, where)
+        split_long(mesh)
+        _contract(mesh, CONTRACTED, mesh.carried[:, -2] > 0)
+        _flip(mesh, delaunay_gain, mesh.carried[:, -2] > 0)
+    mesh.length = np.where(mesh.carried[:, -2] > 0, mesh.length, mesh.carried[:, -1])
+    mesh.carried = mesh.carried[:, :-2]
+
+
+def _contract(mesh: Sized, factor: float, where: NDArray[np.bool_]) -> None:
+    embedded(lambda trial, at: contract_short(trial, factor, at), mesh, where)
+
+
+def _flip(mesh: Sized, gain: Gain, where: NDArray[np.bool_]) -> None:
+    embedded(lambda trial, at: flip(trial, within(at, gain)), mesh, where)
+
+
+def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
+    """``gain`` of the edges whose two triangles lie ``where (V,)``."""
+
+    def value(mesh: Sized, table: EdgeTable) -> Floats:
+        inside = where[table.ends].all(axis=1) & where[table.opposite].all(axis=1)
+        return np.where(inside, gain(mesh, table), -1.0)
+
+    return value
+
+
+def graded_down(spheres: Spheres, wanted: Floats) -> Floats:
+    """``wanted (V,)`` lengths, and around those that are shorter than now others that
+    grow gently."""
+    wanted = wanted.copy()
+    table = EdgeTable.of(spheres.triangles)
+    (a, b), rise = table.ends.T, GRADATION * table.lengths(spheres.centres)
+    while True:
+        before = wanted.copy()
+        # What has its length is no reason for others to change theirs.
+        source = np.where(wanted < CHANGED * spheres.lengths, wanted, np.inf)
+        np.minimum.at(wanted, a, source[b] + rise)
+        np.minimum.at(wanted, b, source[a] + rise)
+        if (wanted > CHANGED * before).all():
+            return before
+
+
+def divided(
+    spheres: Spheres, wanted: Floats, surface: TrueSurface, creases: Creases | None, room: float
+) -> tuple[Spheres, NDArray[np.bool_]]:
+    """With ``wanted`` lengths, ``room`` more triangles at the most, and what is to be trained."""
+    mesh = spheres.as_mesh()
+    changed = wanted < CHANGED * spheres.lengths
+    free = rings_around(spheres.triangles, changed, RINGS)
+    table = EdgeTable.of(spheres.triangles)
+    # Elsewhere no edge is longer than it is to be.
+    longest = np.zeros(len(wanted))
+    np.maximum.at(longest, table.ends, table.lengths(spheres.centres)[:, None])
+    mesh.length = np.where(changed, wanted, np.maximum(longest, spheres.lengths))
+    marks = np.stack([changed, free], axis=1).astype(np.float64)
+    mesh.carried = np.concatenate([mesh.carried, marks], axis=1)
+    for _ in range(PASSES):
+        # Each adds two triangles.
+        room -= 2 * split_long(mesh, DIVIDED, room // 2)
+        contract_short(mesh, CONTRACTED, mesh.carried[:, -2] > 0)
+        free = mesh.carried[:, -1] > 0
+        flip(mesh, within(free, keeping(surface, delaunay_gain)))
+        before = mesh.vertices
+        relax(mesh, STEP, free)
+        # Where the shape is let go it stays so.
+        fit(mesh, surface, free & (mesh.carried[:, 1] == 1))
+        if creases is not None:
+            drawn_on(mesh, creases)
+        mesh.vertices = kept_embedded(before, mesh.vertices, mesh.triangles)
+    unfold(mesh, surface)
+    changed, free = (mesh.carried[:, -2:] > 0).T
+    near = rings_around(mesh.triangles, changed, 1)
+    now = edge_lengths(mesh.vertices, mesh.triangles)
+    mesh.length = np.where(near, now, np.minimum(mesh.length, now))
+    result = Spheres.of_mesh(mesh)
+    radii = np.where(near, FIRST_RADIUS * result.lengths, result.radii)
+    return replace(result, radii=radii, age=np.zeros_like(radii)), free

@@ -1,0 +1,262 @@
+"""The least squares of spheres on triangles: shape, smoothness and what conformity needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NumericalFailure
+from ..mesh.edge_table import EdgeTable
+from ..mesh.geometry import limited, vertex_normals
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.spheres import near_pairs
+from ..remesh.fitting import Rows, backward, forward
+from ..solvers.laplacian import Laplacian
+from ..solvers.least_squares import Block
+from .losses import triangle_pairs as conforming
+from .spheres import SAFE, Spheres, rings_around
+
+if TYPE_CHECKING:
+    from ..mesh.creases import Creases
+    from ..mesh.queries.true_surface import TrueSurface
+
+SLACK = 0.15
+"""How much further than a sphere's radius is searched, for what moves in a step."""
+RADII = (0.3, 1.3)
+"""Limits of the radii, in edge lengths."""
+OFFSET = 0.35
+"""``delta_f`` below which a pair is penalised, in edge lengths, where it has all its room;
+more asks for what thin parts have not."""
+MARGIN = 0.02
+"""Power below which a generator that is not a sphere's own is penalised, in edge lengths
+squared; twice SAFE where that is more."""
+SHARP = 1000.0
+"""Weight of a vertex on its crease, in edge lengths squared."""
+LARGEST_STEP = 0.12
+"""Of a centre or radius, in edge lengths."""
+
+
+def on_creases(creases: Creases, spheres: Spheres) -> Rows:
+    """Vertices on creases, and two planes through each one's crease; three at a corner."""
+    at = np.flatnonzero(spheres.rank > 0)
+    foot, tangent = creases.closest(spheres.centres[at], spheres.as_mesh().chains()[at])
+    axis = np.eye(3)[np.abs(tangent).argmin(axis=1)]
+    across = np.cross(tangent, axis)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    corner = spheres.rank[at] == 2
+    vertex = np.concatenate([at, at, at[corner]])
+    direction = np.concatenate([across, np.cross(tangent, across), tangent[corner]])
+    place = np.concatenate([foot, foot, foot[corner]])
+    if corner.any():
+        from scipy.spatial import cKDTree
+
+        exact = creases.corners
+        near = exact[cKDTree(exact).query(spheres.centres[at[corner]])[1]]
+        place[np.flatnonzero(corner)] = near
+        place[len(at) + np.flatnonzero(corner)] = near
+        place[2 * len(at) :] = near
+    return Rows(
+        np.repeat(vertex[:, None], 3, axis=1),
+        np.tile([1.0, 0.0, 0.0], (len(vertex), 1)),
+        direction,
+        np.einsum("ij,ij->i", direction, place),
+        np.full(len(vertex), 1 / max(1, len(vertex))),
+    )
+
+
+MISSING = 1e3
+"""Beyond this a triangle is as good as flat: only other triangles can help."""
+
+
+def _softened(missing: Floats) -> Floats:
+    """What pairs are missing, as a logarithm from 1 to MISSING and the same from there on: a
+    triangle that has no area, whose spheres meet nowhere near, may not outweigh all others."""
+    return np.where(missing > 1, 1 + np.log(missing.clip(1.0, MISSING)), missing)
+
+
+class OnSpheres:
+    """What problems with the unknowns ``(c_v, r_v)`` share."""
+
+    limits = RADII
+    """Of the radii, in edge lengths."""
+    count: int
+    length: Floats
+    triangles: Ints
+    """Of the surface ``(T, 3)``."""
+    near: tuple[Ints, Ints]
+    """Generators and the spheres not of their faces that they are near."""
+    shape: list[tuple[Rows, Floats]]
+
+    def moved(self, state: Spheres, step: Floats) -> Spheres:
+        shift, growth = step.reshape(-1, 4)[:, :3], step.reshape(-1, 4)[:, 3]
+        most = LARGEST_STEP * self.length
+        low, high = (limit * self.length for limit in self.limits)
+        radii = np.clip(state.radii + np.clip(growth, -most, most), low, high)
+        return replace(state, centres=state.centres + limited(shift, most), radii=radii)
+
+    def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return rings_around(self.triangles, places, 1)
+
+    def spread(self, values: Floats) -> Floats:
+        return np.repeat(values, 4)
+
+    def summed(self, residuals: dict[str, Floats], of: dict[str, Ints]) -> Floats:
+        """The squares of the residuals of the triangles around each vertex; ``of`` holds the
+        vertices ``(R, k)`` of each."""
+        own = np.zeros(self.count)
+        for key, residual in residuals.items():
+            square = np.repeat(residual**2, of[key].shape[1])
+            own += np.bincount(of[key].reshape(-1), square, minlength=self.count)
+        sums = np.repeat(own[self.triangles].sum(axis=1), 3)
+        return np.asarray(np.bincount(self.triangles.reshape(-1), sums, minlength=self.count))
+
+    def powers(self, state: Spheres, points: Floats) -> Floats:
+        """Of the generators to the spheres that they are near, in edge lengths squared."""
+        point, sphere = self.near
+        arm = points[point] - state.centres[sphere]
+        power = np.einsum("ij,ij->i", arm, arm) - state.radii[sphere] ** 2
+        return np.asarray(power / self.length[sphere] ** 2)
+
+    def distances(self, state: Spheres) -> Floats:
+        """Of the samples of the shape to their planes, by their weights."""
+        return np.concatenate([scale * rows.distance(state.centres) for rows, scale in self.shape])
+
+    def shape_blocks(self, residual: Floats) -> list[Block]:
+        blocks, done = [], 0
+        for rows, scale in self.shape:
+            columns = 4 * rows.corners[:, :, None] + np.arange(3)
+            values = scale[:, None, None] * rows.gradient()
+            blocks.append(Block.dense(columns, values, residual[done : done + len(scale)]))
+            done += len(scale)
+        return blocks
+
+    def exclusion_block(
+        self, state: Spheres, pairs: conforming.Pairs, weight: float, residual: Floats
+    ) -> Block:
+        """Generators that are to stay out of other spheres; one that stands for a missing pair
+        follows no sphere. ``weight``: the root of it."""
+        row = np.flatnonzero(residual)
+        point, sphere = self.near[0][row], self.near[1][row]
+        floor, face = state.smallest**2, point % len(state.triangles)
+        columns, values = conforming.power_gradient(
+            pairs.points(floor)[point], state.triangles[face], sphere, state.centres, state.radii
+        )
+        values[pairs.square[face] <= floor[face], :12] = 0.0
+        values *= (-weight / self.length[sphere] ** 2)[:, None]
+        return Block.dense(columns, values, residual[row])
+
+
+class SphereProblem(OnSpheres):
+    """Unknowns ``(c_v, r_v)``, with fixed triangles and planes."""
+
+    def __init__(
+        self,
+        spheres: Spheres,
+        surface: TrueSurface,
+        creases: Creases | None,
+        weights: Mapping[str, float],
+        free: NDArray[np.bool_],
+        threads: int,
+    ) -> None:
+        self.weights, self.threads = weights, threads
+        self.free = np.repeat(free, 4)
+        self.count = len(spheres.centres)
+        self.margin = np.maximum(MARGIN, 2 * SAFE / spheres.lengths**2)
+        self.length, self.face_length = spheres.lengths, spheres.face_lengths
+        self.offset = OFFSET * spheres.face_room
+        centres, triangles = spheres.centres, spheres.triangles
+        self.triangles = triangles
+        self.units: Floats | None = np.repeat(spheres.lengths, 4)
+        if not np.isfinite(centres).all():
+            raise NumericalFailure(
+                "a surface vertex is not finite, since the training diverged; lower the weights"
+            )
+        self.shape = []
+        for way in (forward, backward):
+            rows = way(surface, centres, triangles)
+            hold = spheres.hold[rows.corners].min(axis=1)
+            scale = weights["shape"] * len(centres) * rows.share * hold
+            self.shape.append((rows, np.sqrt(scale) / self.length[rows.corners].mean(axis=1)))
+        if creases is not None:
+            rows = on_creases(creases, spheres)
+            hold = spheres.hold[rows.corners[:, 0]]
+            self.shape.append((rows, np.sqrt(SHARP * hold) / self.length[rows.corners[:, 0]]))
+        self.laplacian = Laplacian.of(EdgeTable.of(triangles).ends, self.count)
+        # Where the shape is let go, smoothness takes its place.
+        loose = weights["smooth"] * (1 - spheres.hold)
+        self.bending = np.sqrt(weights["normal"] + loose) / self.length
+        self.smoothing = np.sqrt(weights["smooth"]) / self.length
+        # Across a crease nothing is smooth.
+        self.bending = np.where(spheres.rank > 0, 0.0, self.bending)
+        self.smoothing = np.where(spheres.rank > 0, 0.0, self.smoothing)
+        self.evening = np.sqrt(weights["radius"]) / self.length
+
+    def energies(self, residuals: dict[str, Floats]) -> Floats:
+        """Of the triangles around each vertex."""
+        triangles, (point, sphere) = self.triangles, self.near
+        vertex = np.arange(self.count)[:, None]
+        of = {
+            "intersection": triangles,
+            "exclusion": np.column_stack([triangles[point % len(triangles)], sphere]),
+            "shape": np.concatenate([rows.corners for rows, _ in self.shape]),
+            "normal": vertex,
+            "smooth": np.repeat(vertex, 3, axis=0),
+            "radius": vertex,
+        }
+        return self.summed(residuals, of)
+
+    def prepare(self, state: Spheres, factor: float) -> None:
+        mesh = PolygonMesh.of_triangles(state.centres, state.triangles)
+        points, _ = state.generators()
+        self.near = near_pairs(mesh, points, state.centres, state.radii, SLACK, self.threads)
+        self.normal = vertex_normals(state.centres, state.triangles)
+        self.strict = {
+            key: np.sqrt(factor * self.weights[key]) for key in ("intersection", "exclusion")
+        }
+
+    def residuals(self, state: Spheres) -> dict[str, Floats]:
+        points, square = state.generators()
+        bend = self.laplacian(state.centres)
+        height = np.einsum("ij,ij->i", bend, self.normal)
+        return {
+            "intersection": self.strict["intersection"]
+            * _softened(np.maximum(0.0, self.offset**2 - square / self.face_length**2)),
+            "exclusion": self.strict["exclusion"]
+            * np.maximum(0.0, self.margin[self.near[1]] - self.powers(state, points)),
+            "shape": self.distances(state),
+            "normal": self.bending * height,
+            "smooth": (self.smoothing[:, None] * (bend - height[:, None] * self.normal)).reshape(
+                -1
+            ),
+            "radius": self.laplacian((self.evening * state.radii)[:, None])[:, 0],
+        }
+
+    def blocks(self, state: Spheres, residuals: dict[str, Floats]) -> list[Block]:
+        centres, radii, triangles = state.centres, state.radii, state.triangles
+        pairs = state.pairs()
+        blocks = []
+        # Pairs that are to exist.
+        row = np.flatnonzero(residuals["intersection"])
+        columns, values = conforming.square_gradient(
+            pairs.centre[row], triangles[row], centres, radii
+        )
+        # The derivative of what is softened.
+        short = self.offset[row] ** 2 - pairs.square[row] / self.face_length[row] ** 2
+        slope = -self.strict["intersection"] / np.maximum(1.0, short)
+        slope[short > MISSING] = 0.0
+        values = values * (slope / self.face_length[row] ** 2)[:, None]
+        blocks.append(Block.dense(columns, values, residuals["intersection"][row]))
+        blocks.append(
+            self.exclusion_block(state, pairs, self.strict["exclusion"], residuals["exclusion"])
+        )
+        blocks += self.shape_blocks(residuals["shape"])
+        return [
+            *blocks,
+            self.laplacian.along(self.normal, self.smoothing, residuals["smooth"]),
+            self.laplacian.across(self.normal, self.bending, residuals["normal"]),
+            self.laplacian.radii(self.evening, residuals["radius"]),
+        ]

@@ -1,0 +1,173 @@
+"""Spheres at the vertices of a triangle surface, whose generators follow in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..mesh.edge_table import EdgeTable, Sized
+from ..mesh.geometry import limited
+from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.spheres import near_pairs
+from ..remesh.operations import fold_cosines
+from .losses import triangle_pairs as conforming
+
+FIRST_RADIUS = 0.8
+"""In edge lengths."""
+SMALLEST = 0.1
+"""``delta_f`` that stands for a missing pair while there is none, in edge lengths."""
+LEAST_ROOM = 0.05
+"""Of what is folded flat, whose pairs would have no room at all."""
+SAFE = 2e-5
+"""Smallest power, in units of h0^2, that lets a generator pass as outside a sphere."""
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """A triangle surface with spheres at its vertices, in model units."""
+
+    centres: Floats
+    radii: Floats
+    triangles: Ints
+    lengths: Floats
+    """Mean length of the edges at each vertex when they were last changed."""
+    hold: Floats
+    """Share of the shape's weight at each vertex."""
+    age: Floats
+    """Rounds of repair in which each vertex was at an intruder."""
+    rank: Ints
+    """0 for a vertex that is free, 1 on a crease, 2 at a corner."""
+    creases: Ints
+    """The edges on creases: their ends and the number of their chain, ``(K, 3)``."""
+    room: Floats
+    """Share of a pair's usual offset at each vertex, less on creases of acute angles: in a wedge
+    both generators of a face must lie on its own side of the middle."""
+
+    @classmethod
+    def at(cls, mesh: Sized) -> Spheres:
+        length = edge_lengths(mesh.vertices, mesh.triangles)
+        ones = np.ones_like(length)
+        return cls(
+            mesh.vertices, FIRST_RADIUS * length, mesh.triangles, length, ones, 0 * ones,
+            mesh.rank, mesh.creases, _room(mesh),
+        )  # fmt: skip
+
+    @classmethod
+    def stored(cls, arrays: Mapping[str, Any]) -> Spheres:
+        """From a checkpoint."""
+        return cls(*(arrays[item.name] for item in fields(cls)))
+
+    @property
+    def face_lengths(self) -> Floats:
+        return np.asarray(self.lengths[self.triangles].mean(axis=1))
+
+    @property
+    def smallest(self) -> Floats:
+        """The offset ``(F,)`` that stands for a missing pair."""
+        return SMALLEST * self.face_room * self.face_lengths
+
+    @property
+    def face_room(self) -> Floats:
+        return np.asarray(self.room[self.triangles].min(axis=1))
+
+    def pairs(self) -> conforming.Pairs:
+        return conforming.radical_pairs(self.centres, self.radii, self.triangles)
+
+    def generators(self) -> tuple[Floats, Floats]:
+        """Generators ``(2F, 3)``, outer ones first, and delta^2 ``(F,)``.
+
+        What stands for a missing pair stays near its triangle, however far its spheres are from
+        meeting: the diagram has to be bounded.
+        """
+        pairs, floor = self.pairs(), self.smallest**2
+        middle = self.centres[self.triangles].mean(axis=1)
+        near = middle + limited(pairs.centre - middle, self.face_lengths)
+        missing = pairs.square <= floor
+        pairs = replace(pairs, centre=np.where(missing[:, None], near, pairs.centre))
+        return pairs.points(floor), pairs.square
+
+    def intruded(self, threads: int) -> NDArray[np.bool_]:
+        """Vertices whose sphere holds a generator not its own, or a triangle without a pair."""
+        return self.intrusion(threads) > 0
+
+    def intrusion(self, threads: int) -> Floats:
+        """How far inside the sphere of each vertex there is a generator not its own, as a power in
+        edge lengths squared, ``(V,)``; 1 at a triangle without a pair, 0 where all is well."""
+        points, square = self.generators()
+        mesh = PolygonMesh.of_triangles(self.centres, self.triangles)
+        point, sphere = near_pairs(mesh, points, self.centres, self.radii, 0.02, threads)
+        power = ((points[point] - self.centres[sphere]) ** 2).sum(axis=1) - self.radii[sphere] ** 2
+        found = np.zeros(len(self.centres))
+        wrong = power < SAFE
+        depth = (2 * SAFE - power[wrong]) / self.lengths[sphere[wrong]] ** 2
+        np.maximum.at(found, sphere[wrong], depth)
+        found[self.triangles[square <= self.smallest**2]] = 1.0
+        return found
+
+    def as_mesh(self) -> Sized:
+        """Centres, triangles and lengths; radii and holds are carried along."""
+        carried = np.stack([self.radii, self.hold, self.age], axis=1)
+        return Sized(self.centres, self.triangles, self.lengths, carried, self.rank, self.creases)
+
+    @classmethod
+    def of_mesh(cls, mesh: Sized) -> Spheres:
+        radii, hold, age = mesh.carried.T[:3]
+        return cls(
+            mesh.vertices, radii, mesh.triangles, mesh.length, hold, age, mesh.rank, mesh.creases,
+            _room(mesh),
+        )  # fmt: skip
+
+
+def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
+    """``marked (V,)`` grown by rings of neighbouring vertices."""
+    for _ in range(rings):
+        grown = marked.copy()
+        grown[triangles[marked[triangles].any(axis=1)]] = True
+        marked = grown
+    return marked
+
+
+def _room(mesh: Sized) -> Floats:
+    """The tangent of half the angle between the two sides of a crease, at most 1, ``(V,)``."""
+    room = np.ones(len(mesh.vertices))
+    if len(mesh.creases):
+        table = EdgeTable.of(mesh.triangles)
+        table = table.rows(mesh.on_crease(table.ends))
+        cosine, _ = fold_cosines(mesh, table)
+        share = np.sqrt((1 + cosine) / np.maximum(1 - cosine, np.finfo(float).tiny))
+        share = np.clip(share, LEAST_ROOM, 1.0)
+        np.minimum.at(room, table.ends.reshape(-1), np.repeat(share, 2))
+    return room
+
+
+def edge_lengths(vertices: Floats, triangles: Ints) -> Floats:
+    """Mean length of the edges at each vertex, ``(V,)``."""
+    table = EdgeTable.of(triangles)
+    length, ends = table.lengths(vertices), table.ends.reshape(-1)
+    total = np.bincount(ends, np.repeat(length, 2), minlength=len(vertices))
+    return np.asarray(total / np.maximum(np.bincount(ends, minlength=len(vertices)), 1))
+
+
+def intrusion_gain(mesh: Sized, table: EdgeTable) -> Floats:
+    """By how much a flip lessens the intrusion of the generators of an edge's two triangles into
+    the spheres opposite, where there is any. The radii are the first column carried along."""
+    radii = mesh.carried[:, 0]
+
+    def intrusion(first: list[Ints], second: list[Ints]) -> Floats:
+        worst = np.full(len(table.ends), -np.inf)
+        for corners, sphere in ((first, second[2]), (second, first[2])):
+            triangles = np.stack(corners, 1)
+            floor = (SMALLEST * mesh.length[triangles].mean(axis=1)) ** 2
+            points = conforming.radical_pairs(mesh.vertices, radii, triangles).points(floor)
+            arm = points - np.concatenate([mesh.vertices[sphere]] * 2)
+            power = np.einsum("ij,ij->i", arm, arm) - np.concatenate([radii[sphere]] * 2) ** 2
+            worst = np.maximum(worst, -power.reshape(2, -1).min(axis=0))
+        return worst / mesh.edge_target(table.ends) ** 2
+
+    (a, b), (c, d) = table.ends.T, table.opposite.T
+    now, then = intrusion([a, b, c], [b, a, d]), intrusion([d, c, a], [c, d, b])
+    return np.where(now > 0, now - then, -1.0)

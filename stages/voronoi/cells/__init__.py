@@ -1,0 +1,1 @@
+"""The cells of a bounded Voronoi diagram: generators, polyhedra, sizes, checks."""

@@ -1,0 +1,67 @@
+"""Checks that cells are what a solver expects: closed, simple and solid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...mesh.polygons import Floats, Ints
+from ...mesh.topology import edge_keys
+from .assembly import PolyhedralMesh
+
+
+def cell_faults(mesh: PolyhedralMesh, points: Floats) -> dict[str, NDArray[np.bool_]]:
+    """For each of six checks which cells ``(C,)`` fail it; ``points (C, 3)`` are near the cells.
+
+    ``open``: an edge that is not in two of the cell's faces; ``not_spheres``: V - E + F other than
+    2; ``torn_faces``: a face that comes to a vertex twice; ``crossed_faces``: two faces that share
+    vertices which are not one path along both; ``few_faces``: less than four; ``folded``: a
+    tetrahedron from the cell's centroid to a piece of a face has no volume or a negative one.
+    """
+    from scipy.sparse import coo_array
+
+    cells, faces = mesh.cell_count, mesh.faces
+    pieces = mesh.tetrahedron_volumes(mesh.solids(points)[1])
+    half_face, half_cell, _ = mesh.half_faces
+    size = faces.valences[half_face]
+    half = np.repeat(np.arange(len(half_face)), size)
+    within = np.arange(len(half)) - np.repeat(np.cumsum(size) - size, size)
+    corner = faces.face_offsets[half_face[half]] + within
+    cell = half_cell[half]
+    vertex_key = cell * faces.vertex_count + faces.face_vertices[corner]
+    edge, number = np.unique(edge_keys(faces)[0], return_inverse=True)
+    edge_key = cell * len(edge) + number[corner]
+
+    vertices, vertex_number = np.unique(vertex_key, return_inverse=True)
+    edges, edge_number, uses = np.unique(edge_key, return_inverse=True, return_counts=True)
+    vertex_count = np.bincount(vertices // faces.vertex_count, minlength=cells)
+    edge_cell = edges // max(len(edge), 1)
+    edge_count = np.bincount(edge_cell, minlength=cells)
+    face_count = np.bincount(half_cell, minlength=cells)
+
+    once = np.ones(len(half), np.int32)
+    incidence = coo_array(
+        (once, (half, vertex_number)), shape=(len(half_face), len(vertices))
+    ).tocsr()
+    torn = _marked(cells, half_cell[incidence.nonzero()[0][incidence.data > 1]])
+    meets = coo_array((once, (half, edge_number)), shape=(len(half_face), len(edges))).tocsr()
+    shared, along = (incidence @ incidence.T).tocoo(), (meets @ meets.T).tocsr()
+    other = shared.row < shared.col
+    row, column, common = shared.row[other], shared.col[other], shared.data[other]
+    lines = np.asarray(along[row, column]).reshape(-1)
+    # A path of k edges has k + 1 points; faces that share all their edges are one face twice.
+    crossed = common != lines + 1
+    return {
+        "open": _marked(cells, edge_cell[uses != 2]),
+        "not_spheres": vertex_count - edge_count + face_count != 2,
+        "torn_faces": torn,
+        "crossed_faces": _marked(cells, half_cell[row[crossed]]),
+        "few_faces": face_count < 4,
+        "folded": _marked(cells, mesh.tetrahedra[2][~(pieces > 0)]),
+    }
+
+
+def _marked(count: int, cells: Ints) -> NDArray[np.bool_]:
+    marked = np.zeros(count, dtype=bool)
+    marked[cells] = True
+    return marked

@@ -1,0 +1,1 @@
+"""The first generators, from the voxels of a shape."""
