@@ -79,12 +79,12 @@ def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
     import numpy as np
 
+    from .inputs import classification
     from .inputs.effort import effort
     from .inputs.field.source import FieldSource
     from .inputs.mesh.source import SHEET, MeshSource
     from .inputs.points.source import PointSource
     from .inputs.thin import thin_parts
-    from .mesh import voxels
     from .mesh.model_frame import ModelFrame
 
     source = context.source()
@@ -128,7 +128,7 @@ def run(context: Context) -> Outcome:
         raise UsageError(f"--shells: needs a mesh, but the input is of kind {source.kind}")
     elif params.repair:
         raise UsageError(f"--repair: needs a mesh, but the input is of kind {source.kind}")
-    context.progress.start("classify", 2 * voxels.ROUNDS)
+    context.progress.start("classify", 2 * classification.ROUNDS)
     done = 0
 
     def tick() -> None:
@@ -136,7 +136,7 @@ def run(context: Context) -> Outcome:
         done += 1
         context.progress.advance(done)
 
-    grid = voxels.classify(source, params.n_init, context.random, tick)
+    grid = classification.classify(source, params.n_init, context.random, tick)
     low, high = source.bounding_box()
     thin = thin_parts(source, grid, context.threads)
     # A surface that is known is trained from its own triangles, which lose nothing.

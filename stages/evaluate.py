@@ -58,7 +58,6 @@ def run(context: Context) -> Outcome:
     from .mesh import geometry
     from .mesh.model_frame import ModelFrame
     from .mesh.polygons import PolygonMesh
-    from .mesh.queries.true_surface import true_surface
     from .mesh.topology import topology
     from .metrics import chamfer, creases, curvature, gates
     from .metrics.fidelity import fidelity
@@ -98,7 +97,7 @@ def run(context: Context) -> Outcome:
         threads,
     )
     frame = ModelFrame.of(context.arrays("classify"))
-    truth = true_surface(source, frame, threads)
+    truth = source.true_surface(frame, threads)
     placed = frame.model_from_input(reference)
     close = fidelity(
         frame.model_from_input(vertices),
@@ -238,7 +237,8 @@ def _mask_overlap(context: Context, vertices: Floats, triangles: Ints) -> dict[s
     recorded = context.folder.manifest("classify")
     if recorded is None or recorded["inputs"][0]["kind"] != "views":
         return None
-    from .inputs.views.source import ViewSource, overlaps
+    from .inputs.views.overlap import overlaps
+    from .inputs.views.source import ViewSource
 
     source = context.source()
     assert isinstance(source, ViewSource)

@@ -23,7 +23,7 @@ from .progress import Silent
 if TYPE_CHECKING:
     from .artifacts.manifest import Manifest
     from .mesh.polygons import Floats, PolygonMesh
-    from .voronoi.cells.assembly import PolyhedralMesh
+    from .mesh.polyhedra import PolyhedralMesh
     from .voronoi.trained_surface import TrainedSurface
 
 Callback = Callable[[str, str, float], bool | None]
@@ -93,7 +93,7 @@ class Run:
     @cached_property
     def cells(self) -> PolyhedralMesh:
         """The polyhedral cells of stage volume. Raises ArtifactError if it is not done."""
-        from .voronoi.cells.assembly import PolyhedralMesh
+        from .mesh.polyhedra import PolyhedralMesh
 
         return PolyhedralMesh.from_arrays(self.arrays("volume"))
 

@@ -91,7 +91,7 @@ class Geometry:
         import numpy as np
 
         from .mesh.geometry import triangle_areas
-        from .training.losses.images import visible
+        from .render.cameras import visible
 
         found = np.zeros(len(self.vertices), dtype=bool)
         for camera in cameras:

@@ -21,7 +21,7 @@ from vorolight.stages.inputs.mesh.source import MeshSource
 from vorolight.stages.mesh.geometry import face_frames
 from vorolight.stages.mesh.model_frame import ModelFrame
 from vorolight.stages.mesh.polygons import PolygonMesh
-from vorolight.stages.mesh.queries.true_surface import TrueSurface, true_surface
+from vorolight.stages.mesh.queries.true_surface import TrueSurface
 from vorolight.stages.solvers.gauss_newton import Problem
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -181,9 +181,8 @@ def write_obj(path: Path, vertices: np.ndarray, faces: object) -> Path:
 
 def surface_of(path: Path, mesh: tuple, spacing: float = 1.0) -> TrueSurface:
     """The true surface of a mesh that is first written to ``path``."""
-    return true_surface(
-        MeshSource(write_ply(path, *mesh)), ModelFrame(np.zeros(3), spacing), threads=2
-    )
+    frame = ModelFrame(np.zeros(3), spacing)
+    return MeshSource(write_ply(path, *mesh)).true_surface(frame, threads=2)
 
 
 def sphere_mesh(radius: float = 1.0, level: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -13,8 +13,7 @@ from conftest import Cli
 
 from vorolight.stages import memory
 from vorolight.stages.artifacts import atomic
-from vorolight.stages.engine.doctor import checks as doctor
-from vorolight.stages.engine.doctor import installation, machine
+from vorolight.stages.engine.doctor import checks, installation, machine
 
 
 def test_this_machine_is_sound_and_stays_as_it_was(tmp_path: Path, program: Cli) -> None:
@@ -64,8 +63,8 @@ def test_a_check_that_never_ends_is_a_problem(
 ) -> None:
     (tmp_path / "manifold3d.py").write_text("import time\ntime.sleep(100)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(doctor, "SECONDS", 1)
-    (found,) = doctor.examine(tmp_path, ["solids"])
+    monkeypatch.setattr(checks, "SECONDS", 1)
+    (found,) = checks.examine(tmp_path, ["solids"])
     assert (found.name, found.verdict) == ("solids", "problem")
     assert "did not end within 1 s" in found.found
 

@@ -10,21 +10,17 @@ import torch
 from conftest import edit, sphere_mesh, torus_mesh, write_ply
 
 from vorolight.stages.errors import InputError, NumericalFailure
-from vorolight.stages.inputs.views.source import ViewSource, overlaps
+from vorolight.stages.inputs.views.overlap import overlaps
+from vorolight.stages.inputs.views.source import ViewSource
 from vorolight.stages.inputs.views.writer import around, write_views
 from vorolight.stages.mesh.frames import Connectivity, face_frames
 from vorolight.stages.mesh.geometry import enclosed_volume, triangle_normals
 from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.mesh.queries.projection import ClosestPoint
 from vorolight.stages.mesh.topology import topology
+from vorolight.stages.render.cameras import visible
 from vorolight.stages.render.views import UNIT, Views
-from vorolight.stages.training.losses.images import (
-    ImageLoss,
-    Silhouettes,
-    edge_pairs,
-    image_losses,
-    visible,
-)
+from vorolight.stages.training.losses.images import ImageLoss, Silhouettes, edge_pairs, image_losses
 
 VERTICES, TRIANGLES = sphere_mesh(1.0, 4)
 

@@ -15,7 +15,6 @@ from vorolight.stages.inputs.points.source import PointSource
 from vorolight.stages.mesh import geometry
 from vorolight.stages.mesh.model_frame import ModelFrame
 from vorolight.stages.mesh.polygons import PolygonMesh
-from vorolight.stages.mesh.queries.true_surface import true_surface
 from vorolight.stages.metrics import chamfer, curvature
 from vorolight.stages.metrics.departures import departures
 from vorolight.stages.metrics.fidelity import fidelity
@@ -134,7 +133,7 @@ def test_what_only_the_surface_or_only_the_input_has_is_named(tmp_path: Path) ->
         source = MeshSource(
             write_ply(tmp_path / "input.ply", *((both, twice) if other else (vertices, triangles)))
         )
-        surface = true_surface(source, frame, 1)
+        surface = source.true_surface(frame, 1)
         written = PolygonMesh.of_triangles(*((both, twice) if own else (vertices, triangles)))
         written = written.with_vertices(frame.model_from_input(written.vertices))
         found = departures(written, source, surface, frame, 1)
@@ -160,7 +159,7 @@ def test_a_surface_where_no_points_are_is_named(tmp_path: Path) -> None:
     frame = ModelFrame(np.zeros(3), 0.5)
     vertices, triangles = sphere_mesh(5.0)
     written = PolygonMesh.of_triangles(frame.model_from_input(vertices), triangles)
-    found = departures(written, source, true_surface(source, frame, 1), frame, 1)
+    found = departures(written, source, source.true_surface(frame, 1), frame, 1)
     # The cap above z = 3 has 0.2 of the area, and its middle is sqrt(20) from the rim.
     assert 0.05 < found.surface.far < 0.2
     assert found.surface.largest == pytest.approx(20**0.5 / 0.5, rel=0.05)
@@ -171,7 +170,7 @@ def test_a_surface_where_no_points_are_is_named(tmp_path: Path) -> None:
     source.__dict__["reconstruction"] = replace(
         source.reconstruction, kept=np.ones(len(within), dtype=bool)
     )
-    filled = departures(written, source, true_surface(source, frame, 1), frame, 1)
+    filled = departures(written, source, source.true_surface(frame, 1), frame, 1)
     assert filled.enclosed == filled.input.far == pytest.approx(400 / len(within))
     assert "check whether they belong to the surface" in "".join(filled.warnings(0.5))
     assert "nothing was measured there" in found.warnings(0.5)[0]

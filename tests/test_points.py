@@ -22,7 +22,6 @@ from vorolight.stages.inputs.resolve import identify, kind_of
 from vorolight.stages.mesh.geometry import enclosed_volume, sample_triangles, triangle_areas
 from vorolight.stages.mesh.model_frame import ModelFrame
 from vorolight.stages.mesh.polygons import PolygonMesh
-from vorolight.stages.mesh.queries.true_surface import true_surface
 from vorolight.stages.mesh.topology import topology
 from vorolight.stages.training.losses.shape import Chamfer, for_source
 
@@ -303,7 +302,7 @@ def test_chamfer_targets_of_noisy_points_are_on_the_surface(
     frame = ModelFrame(np.zeros(3), 0.2)
     context = SimpleNamespace(
         source=lambda: source,
-        surface=true_surface(source, frame, 2),
+        surface=source.true_surface(frame, 2),
         params=SimpleNamespace(target_samples=1000),
         random=lambda purpose: np.random.default_rng(0),
         threads=2,

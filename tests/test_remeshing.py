@@ -20,7 +20,7 @@ from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.mesh.queries.intersections import self_intersections
 from vorolight.stages.mesh.queries.parity import RayParity
 from vorolight.stages.mesh.queries.projection import ClosestPoint, closest_on_triangles
-from vorolight.stages.mesh.queries.true_surface import TrueSurface, true_surface
+from vorolight.stages.mesh.queries.true_surface import TrueSurface
 from vorolight.stages.mesh.topology import topology
 from vorolight.stages.remesh.embedding import kept_embedded
 from vorolight.stages.remesh.length_field import LengthField, thickness
@@ -70,7 +70,7 @@ def test_parts_buried_in_a_mesh_are_no_surface(tmp_path: Path) -> None:
     vertices, triangles = sphere_mesh(1.0, 3)
     both = np.concatenate([vertices, 0.5 * vertices + [0.8, 0, 0]])
     path = write_ply(tmp_path / "two.ply", both, np.concatenate([triangles, triangles + 642]))
-    surface = true_surface(MeshSource(path), ModelFrame(np.zeros(3), 0.1), 2)
+    surface = MeshSource(path).true_surface(ModelFrame(np.zeros(3), 0.1), 2)
     far = 0.1 * np.linalg.norm(surface.samples, axis=1)
     in_small = np.linalg.norm(0.1 * surface.samples - [0.8, 0, 0], axis=1)
     assert (far > 0.98).all()
@@ -81,7 +81,7 @@ def test_parts_buried_in_a_mesh_are_no_surface(tmp_path: Path) -> None:
 def test_closest_points_of_a_field(name: str) -> None:
     source = FieldSource(name)
     frame = ModelFrame(np.array([0.1, -0.2, 0.3]), 0.1)
-    surface = true_surface(source, frame, 1)
+    surface = source.true_surface(frame, 1)
     points = surface.samples[:500] + np.random.default_rng(0).normal(size=(500, 3)) * 0.7
     found, normal = surface.closest(points)
     assert source.value(frame.input_from_model(found)) == pytest.approx(0, abs=1e-8)
@@ -237,7 +237,7 @@ def test_mirrored_generators_make_a_shell_that_its_voxels_cannot(tmp_path: Path)
     )
     source = MeshSource(path)
     frame = ModelFrame(np.full(3, -1.5), 0.1)  # walls of 0.6 voxels
-    surface = true_surface(source, frame, 2)
+    surface = source.true_surface(frame, 2)
     cells = np.stack(np.meshgrid(*3 * [np.arange(30)], indexing="ij"), axis=-1) + 0.5
     radius = np.linalg.norm(cells * 0.1 - 1.5, axis=-1)
     interior = (radius > 0.9) & (radius < 1.04)

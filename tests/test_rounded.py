@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vorolight.stages.inputs.creases.rounded_edges import joined, rounded
-from vorolight.stages.inputs.creases.sharp_edges import exact, of_triangles
+from vorolight.stages.inputs.creases.sharp_edges import of_triangles
 from vorolight.stages.inputs.resolve import identify
 from vorolight.stages.mesh.creases import Chain, Creases
 from vorolight.stages.mesh.model_frame import ModelFrame
@@ -152,8 +152,8 @@ def test_a_rounded_field_has_no_pieces_of_creases() -> None:
         beyond = " + ".join(f"max({way}, 0)**2" for way in over)
         return f"sqrt({beyond}) + {within} - {radius}"
 
-    assert len(exact(identify(edge(1e-6)).open(), frame, 40.0)) == 12
-    assert exact(identify(edge(0.015)).open(), frame, 40.0) == []
+    assert len(identify(edge(1e-6)).open().exact_creases(frame, 40.0)) == 12
+    assert identify(edge(0.015)).open().exact_creases(frame, 40.0) == []
 
 
 def test_points_of_a_box_get_its_edges(tmp_path: Path, cli: Cli) -> None:

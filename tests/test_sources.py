@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.randomness import generator
 from vorolight.stages.errors import InputError
+from vorolight.stages.inputs import classification
 from vorolight.stages.inputs.field.source import FIELDS, FieldSource
 from vorolight.stages.inputs.mesh.sheet import thickened
 from vorolight.stages.inputs.mesh.source import MeshSource
@@ -20,14 +21,13 @@ from vorolight.stages.mesh import voxels
 from vorolight.stages.mesh.geometry import enclosed_volume
 from vorolight.stages.mesh.model_frame import ModelFrame
 from vorolight.stages.mesh.queries.parity import RayParity
-from vorolight.stages.mesh.queries.true_surface import true_surface
 from vorolight.stages.mesh.voxels import VoxelGrid
 from vorolight.stages.voronoi.diagram.interface import interface
 from vorolight.stages.voronoi.start.reflection import reflect
 
 
 def classified(source: object, n: int) -> voxels.VoxelGrid:
-    return voxels.classify(source, n, lambda name, i: generator(0, "test", name, i))
+    return classification.classify(source, n, lambda name, i: generator(0, "test", name, i))
 
 
 @given(st.integers(0, 10**6))
@@ -105,7 +105,7 @@ def test_inside_of_an_open_mesh(tmp_path: Path, turned: int, doubled: int) -> No
 
 def test_a_hole_is_spanned(tmp_path: Path) -> None:
     source = cut_sphere(tmp_path / "cut.obj")
-    surface = true_surface(source, ModelFrame(np.zeros(3), 0.1), threads=2)
+    surface = source.true_surface(ModelFrame(np.zeros(3), 0.1), threads=2)
     # A disc of radius 0.6 closes it at z = 0.8; the level of a half bulges out of it a little.
     foot, normal = surface.closest(np.array([[0.0, 0.0, 20.0], [2.0, 1.0, 11.0]]))
     assert ((foot[:, 2] > 7.5) & (foot[:, 2] < 10)).all()

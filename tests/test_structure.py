@@ -16,16 +16,38 @@ from vorolight.schemas import build
 from vorolight.stages.engine import registry
 from vorolight.stages.engine.params import options
 
-# What every layer may use: the exceptions, memory, and what makes machine code and torch ready.
-LEAVES = {"errors", "compiled", "memory", "torch_start"}
+ORDER = (
+    ("errors", "memory", "compiled", "torch_start", "child", "progress"),
+    ("artifacts",),
+    ("mesh",),
+    ("solvers",),
+    ("formats",),
+    ("render",),
+    ("remesh",),
+    ("voronoi",),
+    ("inputs",),
+    ("engine.params", "engine.stage"),
+    ("metrics",),
+    ("training",),
+    ("fabrication",),
+    ("baselines",),
+    ("report",),
+    ("sphere_train_params", "fabricate_params"),
+    tuple(name.replace("-", "_") for name in registry.ALL),
+    ("engine",),
+    ("run",),
+)
+"""Modules and packages of ``stages``: each row may import itself and the rows above it. The command
+line may import all of them."""
 
 
 def modules() -> list[Path]:
     return [path for folder in FOLDERS.values() for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
-def imported(path: Path) -> set[str]:
-    """Absolute names of the project's modules that a module imports outside TYPE_CHECKING."""
+def imported(path: Path, types: bool) -> set[str]:
+    """Absolute names of the project's modules that a module imports, with ``types`` also those that
+    it needs for annotations only."""
     name = next(
         f"vorolight.{short}"
         for short, folder in FOLDERS.items()
@@ -37,7 +59,7 @@ def imported(path: Path) -> set[str]:
     ignored = {
         id(inner)
         for node in ast.walk(tree)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not types
         for inner in ast.walk(node)
     }
     found = set()
@@ -53,23 +75,56 @@ def imported(path: Path) -> set[str]:
     return {target for target in found if target.startswith("vorolight.")}
 
 
-def test_layers() -> None:
-    stage_modules = {path.stem for path in (ROOT / "stages").glob("*.py")} - {"__init__"}
+def row(name: str) -> int:
+    """The row of ORDER of a module of ``stages``."""
+    names = {each: place for place, names in enumerate(ORDER) for each in names}
+    within = name.removeprefix("vorolight.stages.").split(".")
+    return next(names[part] for part in (".".join(within[:2]), within[0]) if part in names)
+
+
+def graph(types: bool) -> dict[str, set[str]]:
+    """The modules of the project that each module imports."""
+    names = {}
+    for short, folder in FOLDERS.items():
+        for path in (ROOT / folder).rglob("*.py"):
+            parts = path.relative_to(ROOT / folder).with_suffix("").parts
+            names[".".join(["vorolight", short, *parts]).removesuffix(".__init__")] = path
+    found = {}
+    for name, path in names.items():
+        targets = {
+            target if target in names else target.rpartition(".")[0]
+            for target in imported(path, types)
+        }
+        found[name] = targets & names.keys() - {name}
+    return found
+
+
+def test_nothing_imports_what_is_above_it() -> None:
     faults = []
-    for path in modules():
-        for target in imported(path):
-            parts = target.split(".")
-            if path.is_relative_to(ROOT / "stages"):
-                if parts[1] == "cli":
-                    faults.append(f"{path}: {target}")
-                inside = path.parent != ROOT / "stages"
-                to_stage = len(parts) > 2 and parts[2] in stage_modules - LEAVES
-                if inside and parts[1] == "stages" and to_stage:
-                    faults.append(f"{path}: {target}")
-                stages = {name.replace("-", "_") for name in registry.ALL}
-                if path.stem in stages and not inside and to_stage and parts[2] in stages:
-                    faults.append(f"{path}: {target}")
+    for name, targets in graph(types=True).items():
+        if not name.startswith("vorolight.stages."):
+            continue
+        for target in targets:
+            if target.startswith("vorolight.cli") or (
+                target.startswith("vorolight.stages.") and row(target) > row(name)
+            ):
+                faults.append((name, target))
     assert faults == []
+
+
+def test_stages_meet_on_disk_only() -> None:
+    stages = {f"vorolight.stages.{name.replace('-', '_')}" for name in registry.ALL}
+    assert not any(
+        targets & stages for name, targets in graph(types=True).items() if name in stages
+    )
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    left = graph(types=False)
+    while ends := [name for name, targets in left.items() if not targets & left.keys()]:
+        for name in ends:
+            del left[name]
+    assert sorted(left) == []
 
 
 def test_every_package_is_listed_and_typed() -> None:

@@ -15,8 +15,8 @@ from ..artifacts.run_folder import RunFolder
 from ..errors import InputError, UsageError
 from ..formats.registry import FORMATS, Format, Volume
 from ..mesh.polygons import Floats
+from ..mesh.polyhedra import PolyhedralMesh
 from ..metrics.polyhedra import cell_data, quality
-from ..voronoi.cells.assembly import PolyhedralMesh
 
 _CUT = re.compile(r"^\s*([xyz])\s*([=<>])\s*([-+.0-9eE]+)\s*$")
 

@@ -43,9 +43,8 @@ class Context:
     def surface(self) -> TrueSurface:
         """The input's true surface in model units."""
         from ..mesh.model_frame import ModelFrame
-        from ..mesh.queries.true_surface import true_surface
 
-        return true_surface(self.source(), ModelFrame.of(self.arrays("classify")), self.threads)
+        return self.source().true_surface(ModelFrame.of(self.arrays("classify")), self.threads)
 
     def arrays(self, stage: str) -> Arrays:
         """The arrays that an earlier stage wrote."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..inputs.mesh.caps import triangulated
 from ..mesh.geometry import face_frames
 from ..mesh.polygons import PolygonMesh
+from ..mesh.triangulation import triangulated
 
 BEHIND = 1e-9
 """Area of a fan's triangle that faces the other way, over that of its face, which is rounding."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..mesh.polyhedra import PolyhedralMesh
 from ..mesh.topology import edge_keys
-from ..voronoi.cells.assembly import PolyhedralMesh
 from .text import lists, rows
 
 

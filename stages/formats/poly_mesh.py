@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..voronoi.cells.assembly import PolyhedralMesh
+from ..mesh.polyhedra import PolyhedralMesh
 from .text import lists, rows
 
 PATCH = "surface"

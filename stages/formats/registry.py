@@ -11,7 +11,7 @@ import numpy as np
 from ..artifacts import hdf5
 from ..errors import InputError
 from ..mesh.polygons import Floats
-from ..voronoi.cells.assembly import PolyhedralMesh
+from ..mesh.polyhedra import PolyhedralMesh
 from . import ovm, ply, poly_mesh, tetrahedra, vtu
 
 

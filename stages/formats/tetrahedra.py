@@ -9,7 +9,7 @@ import numpy as np
 
 from ..mesh.geometry import fan_triangles
 from ..mesh.polygons import Floats, Ints
-from ..voronoi.cells.assembly import PolyhedralMesh
+from ..mesh.polyhedra import PolyhedralMesh
 from .text import rows
 
 VOLUME, SURFACE = "volume", "surface"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..mesh.polygons import Floats, Ints
-from ..voronoi.cells.assembly import PolyhedralMesh
+from ..mesh.polyhedra import PolyhedralMesh
 
 TETRAHEDRON, POLYHEDRON = 10, 42
 

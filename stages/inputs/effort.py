@@ -12,7 +12,7 @@ from ..mesh.geometry import fan_triangles, sample_triangles, triangle_normals
 from ..mesh.model_frame import ModelFrame
 from ..mesh.voxels import VoxelGrid
 from ..remesh.length_field import LengthField, triangles_of
-from .mesh.source import TriangleSource
+from .mesh.triangle_source import TriangleSource
 from .source import Source
 
 if TYPE_CHECKING:
@@ -75,13 +75,13 @@ def effort(source: Source, grid: VoxelGrid, edge: float) -> Effort:
     from ..mesh.creases import Creases
     from ..mesh.queries.thickness import thin_lengths
     from ..remesh.target_lengths import LEAST, SMALLEST, demand
-    from .creases.sharp_edges import ANGLE, exact
+    from .creases.sharp_edges import ANGLE
 
     frame = ModelFrame(grid.origin, grid.spacing)
     vertices, triangles, _ = fan_triangles(source.manifold())
     vertices = frame.model_from_input(vertices)
     points, owner = sample_triangles(vertices, triangles, SAMPLES, np.random.default_rng(0))
-    chains = exact(source, frame, ANGLE)
+    chains = source.exact_creases(frame, ANGLE)
     creases = Creases(chains) if chains else None
     beside = SMALLEST * edge
     most = np.minimum(thin_lengths(vertices, triangles, points, owner, creases, beside), edge)

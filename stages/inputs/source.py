@@ -8,7 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..mesh.creases import Chain
+from ..mesh.model_frame import ModelFrame
 from ..mesh.polygons import Floats, PolygonMesh
+from ..mesh.queries.true_surface import TrueSurface
 
 
 class Source(Protocol):
@@ -39,6 +42,18 @@ class Source(Protocol):
 
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         """``count`` points on the surface, uniform by area, ``(count, 3)``."""
+        ...
+
+    def true_surface(self, frame: ModelFrame, threads: int) -> TrueSurface:
+        """The surface in model units, found by up to ``threads`` threads."""
+        ...
+
+    def exact_creases(self, frame: ModelFrame, angle: float) -> list[Chain]:
+        """Where the input itself turns by ``angle`` degrees or more, in model units."""
+        ...
+
+    def creases(self, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
+        """Those, and creases of its true ``surface`` that are rounded or under noise."""
         ...
 
     def topology(self) -> tuple[int, int] | None:

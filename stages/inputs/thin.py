@@ -8,7 +8,6 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from ..mesh.model_frame import ModelFrame
-from ..mesh.queries.true_surface import true_surface
 from ..mesh.voxels import VoxelGrid
 from .source import Source
 
@@ -47,7 +46,7 @@ class ThinParts:
 def thin_parts(source: Source, grid: VoxelGrid, threads: int) -> ThinParts:
     """Of ``source``, classified as ``grid``."""
     frame = ModelFrame(grid.origin, grid.spacing)
-    surface = true_surface(source, frame, threads)
+    surface = source.true_surface(frame, threads)
     # Where a step to one side ends on the other, a sheet has been crossed.
     thin = np.zeros((len(STEPS), len(surface.samples)), dtype=bool)
     for row, step in zip(thin, STEPS, strict=True):

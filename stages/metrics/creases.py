@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..inputs.creases.sharp_edges import ANGLE, exact
+from ..inputs.creases.sharp_edges import ANGLE
 from ..mesh.geometry import face_frames
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 from ..mesh.topology import edge_keys
@@ -114,7 +114,7 @@ class Segments:
 
 def of_reference(source: Source, frame: ModelFrame) -> Segments | None:
     """The creases of a mesh or field in its own units; None if it has none, or is neither."""
-    chains = exact(source, frame, ANGLE)
+    chains = source.exact_creases(frame, ANGLE)
     if not chains:
         return None
     counts = np.array([len(chain.points) for chain in chains])

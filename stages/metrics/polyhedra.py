@@ -9,8 +9,8 @@ import numpy as np
 
 from ..mesh.geometry import face_sums
 from ..mesh.polygons import Floats, Ints, PolygonMesh
+from ..mesh.polyhedra import PolyhedralMesh
 from ..mesh.topology import edges
-from ..voronoi.cells.assembly import PolyhedralMesh
 
 BINS = 24
 TINY = np.finfo(float).tiny

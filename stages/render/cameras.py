@@ -7,10 +7,11 @@ column j is at (j + 1/2, i + 1/2).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ..mesh.polygons import Floats
+from ..mesh.polygons import Floats, Ints
 
 RIGID = 1e-3
 """How far a rotation may be from one, as an entry of R R^T - 1."""
@@ -120,3 +121,26 @@ def looking(
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return Camera(size, size, matrix, rotation, -rotation @ position, orthographic)
+
+
+def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
+    """The triangle that each pixel centre sees ``(H, W)``, -1 for none; of a closed surface."""
+    from . import visibility
+
+    seen = np.empty((camera.height, camera.width), np.int64)
+    nearest = np.empty((camera.height, camera.width))
+    visibility.paint(screen, triangles, False, not camera.orthographic, seen, nearest)
+    return seen
+
+
+def facing(screen: Floats, triangles: Ints) -> Any:
+    """Whether triangles are turned to the camera ``(T,)``."""
+    a, b, c = (screen[triangles[:, k], :2] for k in range(3))
+    return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+
+
+def ray_matrix(camera: Camera) -> Floats:
+    """``(3, 3)``: times (u, v, 1) it is along the ray through that pixel."""
+    if camera.orthographic:
+        return np.column_stack([np.zeros((3, 2)), camera.rotation[2]])
+    return np.asarray(camera.rotation.T @ np.linalg.inv(camera.matrix))

@@ -12,6 +12,8 @@ from .cameras import Camera
 
 UNIT = 32767
 """Length of a stored unit normal."""
+MOST_VIEWS = 66
+"""Views in a step, at most (the paper's number)."""
 COVERED = 128
 """Of 255, from which a pixel of a mask belongs to the object."""
 

@@ -19,11 +19,10 @@ from ..inputs.views.source import ViewSource
 from ..mesh.geometry import fan_triangles
 from ..mesh.model_frame import ModelFrame
 from ..mesh.polygons import Floats, Ints
-from ..mesh.queries.true_surface import true_surface
 from ..mesh.topology import bad_edges
 from ..render import image_file, raster
+from ..render.cameras import visible
 from ..render.views import COVERED
-from ..training.losses.images import visible
 from .pictures import AZIMUTH
 
 if TYPE_CHECKING:
@@ -106,7 +105,7 @@ def _input(source: Source, frame: ModelFrame) -> tuple[Floats, Ints, Ints | None
         chosen = np.unique(np.concatenate([np.arange(0, len(points), step), np.flatnonzero(out)]))
         edge = max(0.08, 0.5 * source.reconstruction.spacing / frame.spacing)
         return _dots(points[chosen], out[chosen], edge)
-    surface = true_surface(source, frame, 1)
+    surface = source.true_surface(frame, 1)
     return _dots(surface.samples, np.zeros(len(surface.samples), dtype=bool), 0.15)
 
 

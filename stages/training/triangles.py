@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NumericalFailure
-from ..inputs.creases.sharp_edges import found as creases_found
 from ..mesh.creases import Creases, deviation
 from ..mesh.geometry import fan_triangles
 from ..mesh.model_frame import ModelFrame
@@ -146,7 +145,7 @@ def train_triangles(
     """
     frame, surface = ModelFrame.of(context.arrays("classify")), context.surface
     vertices, corners, from_input, exact = _first(context, frame)
-    chains = [] if angle is None else creases_found(context.source(), surface, frame, angle)
+    chains = [] if angle is None else context.source().creases(surface, frame, angle)
     creases = Creases(chains) if chains else None
     found = context.checkpoints.latest()
     if found is None:

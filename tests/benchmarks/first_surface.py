@@ -25,7 +25,6 @@ from vorolight.stages.engine.session import Session
 from vorolight.stages.init import DEFAULTS, surface_losses
 from vorolight.stages.inputs.resolve import identify
 from vorolight.stages.mesh.model_frame import ModelFrame
-from vorolight.stages.mesh.queries.true_surface import true_surface
 from vorolight.stages.solvers.adam import Moments
 from vorolight.stages.training.losses.shape import Distance
 
@@ -78,7 +77,7 @@ def study(shape: str, n: int) -> dict[str, Any]:
         frame = ModelFrame.of(session.folder.arrays("classify", "classify"))
         arrays = session.folder.arrays("init", "init")
     start, inside = frame.model_from_input(arrays["generators"]), arrays["generator_inside"]
-    shape_loss = Distance(true_surface(identify(shape).open(), frame, session.threads))
+    shape_loss = Distance(identify(shape).open().true_surface(frame, session.threads))
     found: dict[str, Any] = {}
     for name, method in METHODS.items():
         seen: list[list[float]] = []

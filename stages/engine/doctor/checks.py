@@ -11,25 +11,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+
+from . import installation, machine
+from .finding import Finding
 
 SECONDS = 120
 """Seconds after which a running check is abandoned."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The result of a check.
-
-    ``verdict`` is ok, note (an optional part is missing, or something is worth knowing) or problem.
-    ``advice`` says what to do.
-    """
-
-    name: str
-    found: str
-    verdict: str = "ok"
-    advice: str | None = None
 
 
 Check = Callable[[Path], Iterable[Finding]]
@@ -38,8 +27,6 @@ Check = Callable[[Path], Iterable[Finding]]
 
 def checks() -> dict[str, Check]:
     """All checks by name, in the order in which they are reported."""
-    from . import installation, machine
-
     return {
         "python": installation.python,
         "libraries": installation.libraries,

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from .checks import Finding
+from .finding import Finding
 
 ENABLES = {
     "fast": "--backend shull, faster diagrams",

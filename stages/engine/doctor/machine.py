@@ -12,7 +12,7 @@ from ... import memory
 from ...artifacts import atomic, lock
 from ...errors import BackendMissing, UsageError
 from ..session import available_threads
-from .checks import Finding
+from .finding import Finding
 
 ENOUGH_GB, LEAST_GB = 3.0, 0.6
 """Memory for a whole run of the default size, and for its first stages, in GB."""

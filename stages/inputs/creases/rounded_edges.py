@@ -16,6 +16,7 @@ from ...mesh.geometry import triangle_normals
 from ...mesh.graph import components
 from ...mesh.polygons import Floats, Ints
 from .contouring import STEP, Crossings, crossings, triangulated
+from .sharp_edges import chains, sharp_edges
 
 if TYPE_CHECKING:
     from ...mesh.queries.true_surface import TrueSurface
@@ -65,8 +66,6 @@ def rounded(surface: TrueSurface, box: Floats, angle: float, exact: bool) -> lis
     They are where the two sides would meet; what is that far off an ``exact`` surface that it is
     better followed without is left out. ``box (2, 3)``: bounds.
     """
-    from .sharp_edges import chains, sharp_edges
-
     step = max(STEP, float(np.cbrt((np.ptp(box, axis=0) + 4 * STEP).prod() / NODES)))
     found = crossings(
         surface.inside, lambda start, way: _approached(surface, start, way), box, step

@@ -2,92 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ...mesh.creases import Chain, Creases
+from ...mesh.creases import Chain
 from ...mesh.geometry import triangle_normals
 from ...mesh.graph import components
 from ...mesh.polygons import Floats, Ints
-
-if TYPE_CHECKING:
-    from ...mesh.model_frame import ModelFrame
-    from ...mesh.queries.true_surface import TrueSurface
-    from ..field.source import FieldSource
-    from ..source import Source
 
 ANGLE = 40.0
 """Degrees from which on edges of an input are creases, unless said otherwise."""
 DETAIL = 1.0
 """In units of h0: connected creases whose chains are mostly shorter are detail or noise."""
-TURN = 0.5
-"""Cosine below which a crease turns a corner."""
-ON = 0.01
-"""Distance of a crease from the zero set in units of h0 up to which it is sharp: where the field is
-round, dual contouring makes pieces that lie off it."""
-BESIDE, FOLLOWS = 1.0, 0.3
-"""In units of h0, how near a crease is to another where it is the same, and the share of it from
-which on it is."""
-ACCIDENTS = 0.3
-"""Length of exact creases over that of the others, up to which they are accidents."""
 SHORTEST = 2.0
 """In units of h0: creases that reach less far are noise or detail."""
-
-
-def found(source: Source, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
-    """The creases of an input in model units that turn by ``angle`` degrees or more: exact ones,
-    and what is rounded or under noise, of points too."""
-    from ..field.source import FieldSource
-    from ..mesh.source import MeshSource
-    from ..points.source import PointSource
-    from .rounded_edges import rounded
-
-    if not isinstance(source, (FieldSource, MeshSource, PointSource)):
-        return []
-    known = exact(source, frame, angle)
-    box = frame.model_from_input(np.asarray(source.bounding_box(), dtype=float))
-    others = rounded(surface, box, angle, not isinstance(source, PointSource))
-    exact_length, length = (sum(chain.length for chain in made) for made in (known, others))
-    # Of noisy meshes exact ones are accidents.
-    more, less = (known, others) if exact_length > ACCIDENTS * length else (others, known)
-    return more + [chain for chain in _elsewhere(less, more) if chain.length >= SHORTEST]
-
-
-def exact(source: Source, frame: ModelFrame, angle: float) -> list[Chain]:
-    """Of meshes edges, of fields where the gradient jumps."""
-    from ..field.source import FieldSource
-    from ..mesh.source import MeshSource
-    from .contouring import contoured
-
-    if isinstance(source, FieldSource):
-        made = of_triangles(*contoured(source, frame), angle)
-        return [chain for chain in made if _distance(source, frame, chain.points) < ON]
-    if isinstance(source, MeshSource):
-        return of_triangles(frame.model_from_input(source.vertices), source.triangles, angle)
-    return []
-
-
-def _distance(source: FieldSource, frame: ModelFrame, points: Floats) -> float:
-    """Median distance, to first order, of ``points`` from the zero set in units of h0."""
-    value, slope = source.gradient(frame.input_from_model(points))
-    steepness = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
-    return float(np.median(np.abs(value) / steepness) / frame.spacing)
-
-
-def _elsewhere(chains: list[Chain], known: list[Chain]) -> list[Chain]:
-    """The ``chains`` that do not follow ``known`` ones."""
-    if not known:
-        return chains
-    creases = Creases(known)
-
-    def share(chain: Chain) -> float:
-        points = Creases([chain]).dense
-        away = np.linalg.norm(points - creases.closest(points)[0], axis=1)
-        return float((away < BESIDE).mean())
-
-    return [chain for chain in chains if share(chain) < FOLLOWS]
+TURN = 0.5
+"""Cosine below which a crease turns a corner."""
 
 
 def of_triangles(vertices: Floats, triangles: Ints, angle: float) -> list[Chain]:

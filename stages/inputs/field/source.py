@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...mesh.creases import Chain
+from ...mesh.model_frame import ModelFrame
 from ...mesh.polygons import Floats, PolygonMesh
+from ...mesh.queries.true_surface import TrueSurface
 from ...torch_start import settle
 from . import code
 from .expression import Formula, parse, search_box
@@ -53,6 +56,11 @@ def _genus_two(x: Any, y: Any, z: Any, xp: ModuleType) -> Any:
     """A solid figure of eight: a tube around Gerono's lemniscate ``x^2 (1 - x^2) = y^2``."""
     curve = x * x * (1 - x * x) - y * y
     return curve * curve + 0.5 * z * z - 0.025
+
+
+ON = 0.01
+"""Distance of a crease from the zero set in units of h0 up to which it is sharp: where the field is
+round, dual contouring makes pieces that lie off it."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +195,34 @@ class FieldSource:
             found.append(offset[line] + (0.5 * (low + high))[:, None] * direction[line])
             total += len(line)
         return np.concatenate(found)[:count]
+
+    def true_surface(self, frame: ModelFrame, threads: int) -> TrueSurface:
+        """The zero set in model units."""
+        from .true_surface import FieldSurface
+
+        return FieldSurface(self, frame)
+
+    def exact_creases(self, frame: ModelFrame, angle: float) -> list[Chain]:
+        """Where the gradient jumps."""
+        from ..creases.contouring import contoured
+        from ..creases.sharp_edges import of_triangles
+
+        made = of_triangles(*contoured(self, frame), angle)
+        return [chain for chain in made if self._distance(frame, chain.points) < ON]
+
+    def _distance(self, frame: ModelFrame, points: Floats) -> float:
+        """Median distance, to first order, of ``points (N, 3)`` from the zero set in units of
+        h0."""
+        value, slope = self.gradient(frame.input_from_model(points))
+        steepness = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
+        return float(np.median(np.abs(value) / steepness) / frame.spacing)
+
+    def creases(self, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
+        """Exact ones and rounded ones."""
+        from ..creases.combined import combined
+
+        box = frame.model_from_input(np.asarray(self.bounding_box(), dtype=float))
+        return combined(self.exact_creases(frame, angle), surface, box, angle, exact=True)
 
     def topology(self) -> tuple[int, int] | None:
         return None

@@ -13,17 +13,14 @@ from ...mesh.geometry import (
 )
 from ...mesh.polygons import Floats, Ints, PolygonMesh
 from ...mesh.topology import OPEN, bad_edges, edge_faults, face_components
+from ...mesh.triangulation import EXACT, loop_polygons, triangulated
 from .crossing_child import uncrossed
 from .united import manifold
 
-FLAT = 0.1
-"""Largest distance of an opening's edge from its plane, over the opening's extent."""
 SHARE = 0.3
 """Largest area of the caps, over that of the mesh: with larger ones it is a sheet or a bowl."""
 LEVEL, FACING = 1e-3, 1e-3
 """Within what distance, over the extent, and one less what cosine two openings are in a plane."""
-EXACT = 1e-6
-"""Relative error of the area of a triangulated opening."""
 SPECK = 1e-4
 """Volume, over that of the largest part, below which what a cap cuts off is left out."""
 
@@ -96,7 +93,7 @@ def _openings(mesh: PolygonMesh) -> list[Ints]:
 def _caps(vertices: Floats, loops: list[Ints]) -> Ints | None:
     """Triangles that close the ``loops``; those in one plane are closed together, since one may be
     the inner edge of another's ring."""
-    size, normal, centre = face_frames(_rings(vertices, loops))
+    size, normal, centre = face_frames(loop_polygons(vertices, loops))
     extent = np.array([np.ptp(vertices[loop], axis=0).max() for loop in loops])
     if (size <= EXACT * extent**2).any():
         return None
@@ -116,35 +113,3 @@ def _caps(vertices: Floats, loops: list[Ints]) -> Ints | None:
         left[group] = False
         found.append(cap)
     return np.concatenate(found)
-
-
-def _rings(vertices: Floats, loops: list[Ints]) -> PolygonMesh:
-    """The ``loops`` as polygons."""
-    offsets = np.cumsum([0, *(len(loop) for loop in loops)])
-    return PolygonMesh(vertices, offsets.astype(np.int64), np.concatenate(loops))
-
-
-def triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | None:
-    """Triangles of the region within ``loops``, seen along ``normal (3,)``; None where they are not
-    flat or have no inside."""
-    from manifold3d import triangulate
-
-    corners = np.concatenate(loops)
-    at = vertices[corners] - vertices[loops[0]].mean(axis=0)
-    if np.abs(at @ normal).max() > FLAT * np.ptp(vertices[loops[0]], axis=0).max():
-        return None
-    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    across /= np.linalg.norm(across)
-    plane = np.stack([at @ across, at @ np.cross(normal, across)], axis=1)
-    outlines = _rings(vertices, loops)
-    rings = [np.ascontiguousarray(ring) for ring in np.split(plane, outlines.face_offsets[1:-1])]
-    found = np.asarray(triangulate(rings), np.int64)
-    if len(found) == 0:
-        return None
-    a, b, c = (plane[found[:, k]] for k in range(3))
-    areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    size, facing, _ = face_frames(outlines)
-    wanted = float(size @ (facing @ normal))
-    if (areas <= 0).any() or abs(areas.sum() - wanted) > EXACT * wanted:
-        return None
-    return np.asarray(corners[found])

@@ -12,9 +12,12 @@ import numpy as np
 from ...errors import InputError
 from ...formats import packed
 from ...formats.cloud_file import MOST, LoadedCloud, load
+from ...mesh.creases import Chain
+from ...mesh.model_frame import ModelFrame
 from ...mesh.polygons import Floats, PolygonMesh
+from ...mesh.queries.true_surface import TrueSurface
 from ...mesh.topology import topology
-from ..mesh.source import TriangleSource
+from ..mesh.triangle_source import TriangleSource
 from .reconstruction import AGREE, Reconstruction, reconstruct
 
 WORTH_SAYING = 5e-3
@@ -93,6 +96,10 @@ class PointSource(TriangleSource):
         if len(points) <= count:
             return points
         return np.asarray(points[random.choice(len(points), count, replace=False)])
+
+    def creases(self, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
+        """Rounded ones: the surface of points has noise."""
+        return self._creases(surface, frame, angle, exact=False)
 
     def describe(self) -> dict[str, Any]:
         found, facts = self.reconstruction, topology(self.polygons)

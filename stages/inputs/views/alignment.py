@@ -223,7 +223,7 @@ def _cut(mask: Any) -> Floats:
 def _overlap(views: Views, names: list[str], votes: int, threads: int) -> float:
     """Mean over the masks of their intersection over union with the views' hull; 0 if none."""
     from .hull import VisualHull
-    from .source import overlaps
+    from .overlap import overlaps
 
     factor = max(1, round(max(views.masks.shape[1:]) / (4 * CELLS)))
     small = replace(views, normals=None).shrunk(factor)

@@ -20,10 +20,10 @@ from ...mesh.polygons import Floats, Ints
 from ...remesh.operations import contract_short, flip, fold_cosines, split_long, valence_gain
 from ...remesh.remeshing import relax
 from ...render import visibility
-from ...render.views import Views
+from ...render.cameras import facing, ray_matrix, visible
+from ...render.views import MOST_VIEWS, Views
 from ...solvers.laplacian import Laplacian
 from ...solvers.least_squares import Block, GaussNewton
-from ...training.losses.images import MOST_VIEWS, facing, ray_matrix, visible
 from .node_grid import NodeGrid
 
 

@@ -12,17 +12,20 @@ import numpy as np
 
 from ...artifacts.randomness import generator
 from ...errors import InputError
+from ...mesh.creases import Chain
+from ...mesh.model_frame import ModelFrame
 from ...mesh.polygons import Floats, Ints, PolygonMesh
+from ...mesh.queries.true_surface import TrueSurface
 from ...mesh.topology import topology
 from ...render.cameras import Camera
 from ...render.views import COVERED, Views
-from ...training.losses.images import visible
-from ..mesh.source import TriangleSource
+from ..mesh.triangle_source import TriangleSource
 from . import alignment as view_alignment
 from . import files as view_files
 from . import pictures as view_pictures
 from .fit import fit
 from .hull import VisualHull, signed_distances
+from .overlap import overlaps
 from .silhouettes import PLAIN, Reading
 
 CELLS = 96
@@ -158,6 +161,10 @@ class ViewSource(TriangleSource):
         if "source/scale" in stored:
             self.fit = view_alignment.Fit(stored["source/scale"], stored["source/shift"])
 
+    def creases(self, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
+        """None: a surface fitted to views does not show them."""
+        return []
+
     def describe(self) -> dict[str, Any]:
         facts, agreement = topology(self.polygons), self.agreement()
         return {
@@ -207,13 +214,3 @@ def start_of(camera: Camera, pixel: Floats) -> Floats:
         return camera.position
     flat = np.linalg.solve(camera.matrix[:2, :2], pixel - camera.matrix[:2, 2])
     return np.asarray(camera.rotation.T @ (np.append(flat, 0.0) - camera.translation))
-
-
-def overlaps(views: Views, vertices: Floats, triangles: Ints) -> Floats:
-    """Intersection over union of masks and what the cameras see of a closed surface ``(N,)``."""
-    shares = []
-    for camera, mask in zip(views.cameras, views.masks, strict=True):
-        seen = visible(camera, camera.project(vertices), triangles) >= 0
-        covered = mask >= COVERED
-        shares.append((seen & covered).sum() / (seen | covered).sum())
-    return np.array(shares)

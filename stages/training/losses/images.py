@@ -7,23 +7,22 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...artifacts.randomness import generator
 from ...errors import NumericalFailure
 from ...mesh.polygons import Floats, Ints, PolygonMesh
+from ...render.cameras import facing, ray_matrix, visible
+from ...render.views import MOST_VIEWS
 
 if TYPE_CHECKING:
     import torch
 
     from ...mesh.frames import Frames
-    from ...render.cameras import Camera
     from ...render.views import Views
 
-MOST_VIEWS = 66
-"""Views in a step, at most (the paper's number)."""
 PIXELS = 256
 """Along a side of the pictures in which the loss is taken; larger ones are shrunk to about this."""
 MASK, NORMAL = 10.0, 1.0
@@ -109,29 +108,6 @@ def edge_pairs(triangles: Ints) -> tuple[Ints, Ints]:
     if 2 * len(up) != 3 * count or not np.array_equal(key[up], key[down]):
         raise NumericalFailure("the surface is not closed and cannot be compared with pictures")
     return np.stack([start[up], end[up]], axis=1), np.stack([up // 3, down // 3], axis=1)
-
-
-def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
-    """The triangle that each pixel centre sees ``(H, W)``, -1 for none; of a closed surface."""
-    from ...render import visibility
-
-    seen = np.empty((camera.height, camera.width), np.int64)
-    nearest = np.empty((camera.height, camera.width))
-    visibility.paint(screen, triangles, False, not camera.orthographic, seen, nearest)
-    return seen
-
-
-def facing(screen: Floats, triangles: Ints) -> Any:
-    """Whether triangles are turned to the camera ``(T,)``."""
-    a, b, c = (screen[triangles[:, k], :2] for k in range(3))
-    return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-
-
-def ray_matrix(camera: Camera) -> Floats:
-    """``(3, 3)``: times (u, v, 1) it is along the ray through that pixel."""
-    if camera.orthographic:
-        return np.column_stack([np.zeros((3, 2)), camera.rotation[2]])
-    return np.asarray(camera.rotation.T @ np.linalg.inv(camera.matrix))
 
 
 class ImageLoss:

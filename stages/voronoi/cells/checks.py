@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...mesh.polygons import Floats, Ints
+from ...mesh.polyhedra import PolyhedralMesh
 from ...mesh.topology import edge_keys
-from .assembly import PolyhedralMesh
 
 
 def cell_faults(mesh: PolyhedralMesh, points: Floats) -> dict[str, NDArray[np.bool_]]:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from ...mesh.geometry import face_frames
 from ...mesh.graph import components
 from ...mesh.polygons import Floats, Ints, PolygonMesh
+from ...mesh.polyhedra import PolyhedralMesh
 from ...mesh.topology import edges
-from .assembly import PolyhedralMesh, contracted
+from .assembly import contracted
 from .checks import cell_faults
 
 PASSES = 12
