@@ -246,13 +246,15 @@ def _outcome(
 def _memory(context: Context) -> float:
     from .inputs.effort import MEMORY
 
-    # At the default edge length there are about as many triangles as faces in the first surface.
-    params, faces = context.params, len(context.arrays("init")["surface/face_offsets"]) - 1.0
-    if not params.by_adam:
-        faces *= (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2
-        faces = params.faces_target or faces
+    params = context.params
     least, start, each = MEMORY
-    return peak(least, start, 30.0 if params.by_adam else each, faces)
+    if params.by_adam:
+        return peak(least, start, 30.0, len(context.arrays("init")["surface/face_offsets"]) - 1.0)
+    classified = context.folder.manifest("classify")
+    assert classified is not None
+    triangles = float(classified["metrics"]["effort"]["triangles"])
+    finer = (DEFAULTS["triangle"]["edge_length"] / params.value("edge_length")) ** 2
+    return peak(least, start, each, params.faces_target or triangles * finer)
 
 
 STAGE = Stage(

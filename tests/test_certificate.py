@@ -19,6 +19,7 @@ from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.mesh.topology import topology
 from vorolight.stages.metrics.watertight import as_written
 from vorolight.stages.training.spheres import Spheres
+from vorolight.stages.voronoi import certificate
 from vorolight.stages.voronoi.certificate import Certificate, certify
 
 
@@ -73,6 +74,22 @@ def test_a_file_has_the_topology_that_was_certified(tmp_path: Path, sphere: Case
     torus = topology(PolygonMesh.of_triangles(*torus_mesh(3.0, 1.0, 16, 8)))
     with pytest.raises(NumericalFailure, match="Euler number 2 and 1 components"):
         as_written({"ply": path}, torus)
+
+
+@pytest.mark.parametrize("size", [0.05, 0.4, 4.0])
+def test_the_margin_is_that_of_all_generators(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many generators lie within half a voxel of a sphere, few of them are looked at."""
+    monkeypatch.setattr(certificate, "AT_ONCE", 50)
+    case = case_of(*sphere_mesh(size, 2), 0.3 * size)
+    mesh, count = case.mesh, case.mesh.vertex_count
+    squared = ((case.generators[:, None] - mesh.vertices) ** 2).sum(axis=2) - case.radii**2
+    own = np.zeros(squared.shape, dtype=bool)
+    for side in case.pairs.T:
+        own[side[mesh.corner_faces], mesh.face_vertices] = True
+    least = squared[~own].min()
+    assert case.certificate().margin == pytest.approx(min(least, certificate.REACH**2), rel=1e-9)
+    found = certificate._other_powers(mesh, case.radii, case.generators, case.pairs, threads=1)
+    assert len(found) < 10 * count
 
 
 @given(st.integers(0, 10**6))

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 
 from .geometry import face_frames
 from .polygons import Floats, Ints, PolygonMesh
+
+AT_ONCE = 20_000
+"""Number of spheres that are searched at once, which bounds the memory."""
 
 
 def initial_spheres(mesh: PolygonMesh) -> tuple[Floats, Floats]:
@@ -31,14 +36,19 @@ def near_pairs(
     """
     from scipy.spatial import cKDTree
 
-    found = cKDTree(targets).query_ball_point(
-        centres, (1 + slack) * radii, workers=threads, return_sorted=True
-    )
-    count = np.fromiter((len(row) for row in found), np.int64, len(found))
-    point = np.concatenate([np.asarray(row, np.int64) for row in found] or [np.zeros(0, np.int64)])
-    sphere = np.repeat(np.arange(len(centres)), count)
+    tree = cKDTree(targets)
     incident = np.sort(mesh.corner_faces * mesh.vertex_count + mesh.face_vertices)
-    key = (point % mesh.face_count) * mesh.vertex_count + sphere
-    at = np.minimum(np.searchsorted(incident, key), len(incident) - 1)
-    apart = incident[at] != key
-    return point[apart], sphere[apart]
+    points, spheres = [], []
+    for some in np.array_split(np.arange(len(centres)), 1 + len(centres) // AT_ONCE):
+        found = tree.query_ball_point(
+            centres[some], (1 + slack) * radii[some], workers=threads, return_sorted=True
+        )
+        count = np.fromiter((len(row) for row in found), np.int64, len(found))
+        point = np.fromiter(chain.from_iterable(found), np.int64, int(count.sum()))
+        sphere = np.repeat(some, count)
+        key = (point % mesh.face_count) * mesh.vertex_count + sphere
+        at = np.minimum(np.searchsorted(incident, key), len(incident) - 1)
+        apart = incident[at] != key
+        points.append(point[apart])
+        spheres.append(sphere[apart])
+    return np.concatenate(points), np.concatenate(spheres)

@@ -16,6 +16,7 @@ pair, and no open cell crosses the surface; by 4 and 5 there is no other interfa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,10 @@ PLANAR = 1e-8
 """Largest distance of a corner from its face's plane, in units of h0."""
 REACH = 0.5
 """Distance beyond a sphere, in units of h0, within which generators are measured."""
+NEAR = 0.2
+"""The distance of the first search, in median radii."""
+AT_ONCE = 20_000
+"""Number of spheres that are searched at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -119,24 +124,34 @@ def certify(
 def _other_powers(
     trained: PolygonMesh, radii: Floats, generators: Floats, face_generators: Ints, threads: int
 ) -> Floats:
-    """Powers of generators in or near a sphere that is not one of their face's spheres."""
+    """Powers of generators in or near a sphere that is not one of their face's spheres: all of them
+    up to some bound above MARGIN, the least of them among these if it is below REACH^2."""
     from scipy.spatial import cKDTree
 
-    found = cKDTree(generators).query_ball_point(
-        trained.vertices, np.sqrt(radii**2 + REACH**2), workers=threads, return_sorted=True
-    )
-    count = np.fromiter((len(row) for row in found), np.int64, len(found))
-    point = np.concatenate([np.asarray(row, np.int64) for row in found])
-    sphere = np.repeat(np.arange(trained.vertex_count), count)
-    # Only spheres of vertices that a face uses count.
-    used = np.zeros(trained.vertex_count, dtype=bool)
-    used[trained.face_vertices] = True
+    tree = cKDTree(generators)
     incident = (face_generators[trained.corner_faces] * trained.vertex_count).T
     own = np.unique((incident + trained.face_vertices).reshape(-1))
-    apart = ~np.isin(point * trained.vertex_count + sphere, own) & used[sphere]
-    point, sphere = point[apart], sphere[apart]
-    reach = ((generators[point] - trained.vertices[sphere]) ** 2).sum(axis=1)
-    return np.asarray(reach - radii[sphere] ** 2)
+    used = np.unique(trained.face_vertices)
+    # A ball of radius REACH holds a great many generators where the edges are short, so the search
+    # starts near the spheres.
+    reach = min(REACH, max(2 * MARGIN**0.5, NEAR * float(np.median(radii[used]))))
+    while True:
+        powers = []
+        for spheres in np.array_split(used, 1 + len(used) // AT_ONCE):
+            found = tree.query_ball_point(
+                trained.vertices[spheres], np.sqrt(radii[spheres] ** 2 + reach**2), workers=threads
+            )
+            count = np.fromiter((len(row) for row in found), np.int64, len(found))
+            point = np.fromiter(chain.from_iterable(found), np.int64, int(count.sum()))
+            sphere = np.repeat(spheres, count)
+            apart = ~np.isin(point * trained.vertex_count + sphere, own)
+            point, sphere = point[apart], sphere[apart]
+            squared = ((generators[point] - trained.vertices[sphere]) ** 2).sum(axis=1)
+            powers.append(squared - radii[sphere] ** 2)
+        others = np.concatenate(powers)
+        if len(others) or reach >= REACH:
+            return others
+        reach = min(REACH, 2 * reach)
 
 
 def sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
