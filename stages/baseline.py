@@ -169,18 +169,17 @@ def _samples(context: Context, source: Source) -> tuple[Floats, CubeFrame]:
 
     from .baselines.sampling import DRAWN, even
     from .baselines.voromesh import CubeFrame, box_of
-    from .inputs.field.source import FieldSource
-    from .inputs.points.source import PointSource
 
     params = context.params
     count = params.samples or SAMPLES * params.grid**2
     random = context.random("samples")
-    if isinstance(source, PointSource):
+    measured = source.measured_points() is not None
+    if measured:
         points = source.surface_samples(count, random)
     else:
         points = even(source.surface_samples(DRAWN * count, random), count, context.threads)
     box = source.bounding_box()
-    if isinstance(source, FieldSource | PointSource):
+    if measured or not source.box_is_tight:
         # A field's box is the search region; the box of the surface made of points is not that of
         # the points.
         box = np.stack([points.min(axis=0), points.max(axis=0)])

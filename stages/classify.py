@@ -14,7 +14,7 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from .engine.params import Positive, Range, Short, StageParams
 from .engine.stage import Context, Outcome, Stage
@@ -24,7 +24,7 @@ from .sphere_train_params import DEFAULTS, MAX_FACES
 
 if TYPE_CHECKING:
     from .inputs.effort import Effort
-    from .inputs.views.source import ViewSource
+    from .inputs.source import Source
     from .mesh.model_frame import ModelFrame
 
 
@@ -75,59 +75,31 @@ class Params(StageParams):
     Default: a solid, or a sheet of one voxel if the mesh encloses next to nothing."""
 
 
+NEEDS = {
+    "noise": "a point cloud",
+    "columns": "a point cloud",
+    "level": "samples on a grid",
+    "mask_votes": "views",
+    "invert_masks": "views",
+    "background": "views",
+    "enclosed": "views",
+    "thickness": "a mesh",
+    "weld": "a mesh",
+    "shells": "a mesh",
+    "repair": "a mesh",
+}
+"""What the options are for that only some kinds of input know."""
+
+
 def run(context: Context) -> Outcome:
     """Sample every voxel 35 times, in two passes (paper's appendix C.1)."""
-    import numpy as np
-
     from .inputs import classification
     from .inputs.effort import effort
-    from .inputs.field.source import FieldSource
-    from .inputs.mesh.source import SHEET, MeshSource
-    from .inputs.points.source import PointSource
     from .inputs.thin import thin_parts
     from .mesh.model_frame import ModelFrame
 
-    source = context.source()
-    params = context.params
-    if isinstance(source, PointSource):
-        source.given_noise, source.threads = params.noise, context.threads
-        source.columns = params.columns
-    elif params.noise is not None:
-        raise UsageError(f"--noise: needs a point cloud, but the input is of kind {source.kind}")
-    elif params.columns is not None:
-        raise UsageError(f"--columns: needs a point cloud, but the input is of kind {source.kind}")
-    if isinstance(source, FieldSource) and source.path is not None:
-        source.above = params.level
-    elif params.level is not None:
-        raise UsageError(
-            f"--level: needs samples on a grid, but the input is of kind {source.kind}"
-        )
-    if source.kind == "views":
-        _fit(cast("ViewSource", source), context)
-    elif params.mask_votes:
-        raise UsageError(f"--mask-votes: needs views, but the input is of kind {source.kind}")
-    elif params.invert_masks:
-        raise UsageError(f"--invert-masks: needs views, but the input is of kind {source.kind}")
-    elif params.background is not None or params.enclosed != "object":
-        name = "enclosed" if params.background is None else "background"
-        raise UsageError(f"--{name}: needs views, but the input is of kind {source.kind}")
-    if isinstance(source, MeshSource):
-        source.repair, source.reach = params.repair, params.weld
-        source.hollow = params.shells == "alternate"
-        thickness = params.thickness
-        if thickness is None and not params.allow_poor_input:
-            source.refuse_soup()
-        if thickness is None and (source.flat or source.sureness < SHEET):
-            thickness = float(np.ptp(source.bounding_box(), axis=0).max()) / params.n_init
-        source.take_as_sheet(thickness or 0.0)
-    elif params.thickness is not None:
-        raise UsageError(f"--thickness: needs a mesh, but the input is of kind {source.kind}")
-    elif params.weld is not None:
-        raise UsageError(f"--weld: needs a mesh, but the input is of kind {source.kind}")
-    elif params.shells != "union":
-        raise UsageError(f"--shells: needs a mesh, but the input is of kind {source.kind}")
-    elif params.repair:
-        raise UsageError(f"--repair: needs a mesh, but the input is of kind {source.kind}")
+    source, params = _configured(context), context.params
+    source.prepare(context.progress)
     context.progress.start("classify", 2 * classification.ROUNDS)
     done = 0
 
@@ -182,51 +154,30 @@ def _check_effort(needed: Effort, params: Params, name: str, frame: ModelFrame) 
         )
 
 
-def _fit(source: ViewSource, context: Context) -> None:
-    """Make the surface that stands for views, with its own progress bar."""
-    from .inputs.views.fit import levels
-
-    rounds = sum(level.rounds for level in levels(_told(source, context).views))
-    context.progress.start("fit to the views", rounds)
-    done = 0
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
-        context.progress.advance(done)
-
-    source.tick = tick
-    source.polygons  # noqa: B018
-    context.progress.finish()
-
-
-def _told(source: ViewSource, context: Context) -> ViewSource:
-    """Views with the options on how to read them. Raises UsageError for no colour."""
-    from .inputs.views.silhouettes import Reading, parse_background
-
-    params = context.params
-    source.votes, source.threads = params.mask_votes, context.threads
-    source.reading = Reading(
-        parse_background(params.background or "auto"), params.enclosed == "background",
-        params.invert_masks,
-    )  # fmt: skip
+def _configured(context: Context) -> Source:
+    """The input, with the options that are for it. Raises UsageError for an option that this kind
+    of input does not know."""
+    source, params = context.source(), context.params
+    if source.configured:
+        return source
+    for name, needed in NEEDS.items():
+        default = getattr(Params, name)
+        if getattr(params, name) != default and name not in source.options:
+            raise UsageError(
+                f"--{name.replace('_', '-')}: needs {needed}, but the input is of kind "
+                f"{source.kind}"
+            )
+    source.threads = context.threads
+    source.configure(vars(params))
+    source.configured = True
     return source
 
 
 def _memory(context: Context) -> float:
-    from .inputs.points.source import PointSource
-
-    source = context.source()
-    # Triangles are searched by compiled loops.
-    libraries = 340.0 if source.kind == "mesh" else 290.0
+    source = _configured(context)
+    libraries = 290.0
     voxels = peak(libraries, libraries, 0.25, float(context.params.n_init) ** 3)
-    if isinstance(source, PointSource):
-        source.columns = context.params.columns
-        return voxels + 350.0 + 3.5e-4 * len(source.cloud.points)
-    if source.kind == "views":
-        seen = _told(cast("ViewSource", source), context)
-        return voxels + 450.0 + 2e-5 * seen.views.masks.size
-    return voxels
+    return voxels + source.extra_memory()
 
 
 STAGE = Stage(

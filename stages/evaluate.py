@@ -19,6 +19,7 @@ from .formats import packed
 from .memory import peak
 
 if TYPE_CHECKING:
+    from .inputs.source import Source
     from .mesh.polygons import Floats, Ints, PolygonMesh
 
 OTHER_UNITS, OTHER_SIZE = 5.0, 1.25
@@ -52,8 +53,6 @@ def run(context: Context) -> Outcome:
 
     from .artifacts.manifest import foreign
     from .formats import ply
-    from .inputs.field.source import FieldSource
-    from .inputs.mesh.source import MeshSource
     from .inputs.resolve import identify
     from .mesh import geometry
     from .mesh.model_frame import ModelFrame
@@ -66,29 +65,29 @@ def run(context: Context) -> Outcome:
     params, threads = context.params, context.threads
     of = f"file {Path(params.surface).name}" if params.surface else params.of
     mesh = _surface(context)
-    source: Any = (
-        context.source() if params.reference is None else identify(params.reference).open()
-    )
+    source = context.source() if params.reference is None else identify(params.reference).open()
     protocol = PROTOCOLS[params.protocol].changed(params.samples, params.threshold)
     samples, random = protocol["samples"], context.random
     context.progress.start("evaluate", 5)
     vertices, triangles, _ = geometry.fan_triangles(mesh)
     predicted, _ = geometry.sample_triangles(vertices, triangles, samples, random("predicted"))
     reference = source.surface_samples(samples, random("reference"))
-    field = source if isinstance(source, FieldSource) else None
-    area = float(geometry.triangle_areas(vertices, triangles).sum())
-    if field is None:
-        low, high = source.bounding_box()
-        true_area = float(geometry.triangle_areas(source.vertices, source.triangles).sum())
-    else:  # a field's box is its search region, not that of the shape; its area is not known
+    given, triangulated = source.given_polygons(), source.triangulated()
+    low, high = source.bounding_box()
+    if not source.box_is_tight:
         low, high = reference.min(axis=0), reference.max(axis=0)
-        true_area = area
+    area = float(geometry.triangle_areas(vertices, triangles).sum())
+    true_area = (
+        area  # that of a field is not known
+        if triangulated is None
+        else float(geometry.triangle_areas(*triangulated).sum())
+    )
     name = params.reference or source.name
     warnings = _comparable(name, source, mesh.vertices[mesh.face_vertices], np.stack([low, high]))
     diagonal, longest = float(np.linalg.norm(high - low)), float(np.max(high - low))
     whole = None
-    if isinstance(source, MeshSource):
-        whole = PolygonMesh.of_triangles(source.vertices, source.triangles)
+    if given is not None:
+        whole = PolygonMesh.of_triangles(*geometry.fan_triangles(given)[:2])
     distances = chamfer.chamfer(
         predicted / diagonal,
         reference / diagonal,
@@ -109,7 +108,7 @@ def run(context: Context) -> Outcome:
         threads,
     ).scaled(frame.spacing / diagonal)
     context.progress.advance(1)
-    edge = source.median_edge_length() if isinstance(source, MeshSource) else frame.spacing / 2
+    edge = source.median_edge_length() or frame.spacing / 2
     radius = curvature.REACH * edge
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, threads)
     bent = curvature.statistics(vertices, triangles, radius, measured, valid)
@@ -130,7 +129,7 @@ def run(context: Context) -> Outcome:
     metrics: dict[str, Any] = {
         "of": of,
         "protocol": protocol | {"diagonal": diagonal, "reference": source.name},
-        "curvature_settings": curvature.settings(edge, isinstance(source, MeshSource)),
+        "curvature_settings": curvature.settings(edge, given is not None),
         "topology": vars(facts),
         "expected_topology": expected
         and dict(zip(("euler_number", "components"), expected, strict=True)),
@@ -151,14 +150,14 @@ def run(context: Context) -> Outcome:
         "reference_creases": None
         if ridges is None or whole is None
         else vars(creases.agreement(ridges, whole, longest, frame.spacing)),
-        "sdf_loss": float(np.abs(field.value(predicted)).mean()) if field else None,
+        "sdf_loss": _mean_value(source, predicted),
         "mask_overlap": _mask_overlap(context, vertices, triangles),
         "gates": gates.gates(mesh, defects, expected),
         "defects": defects.named(),
     }
     context.progress.advance(4)
     if params.surface is None and params.of in ("sphere-train", "volume"):
-        metrics |= _trained(context, samples, radius, field)
+        metrics |= _trained(context, samples, radius, source)
         with foreign("sphere-train.json"):
             trained = context.folder.manifest("sphere-train") or {}
             claimed = trained["metrics"]["certificate"]["holds"]
@@ -187,15 +186,13 @@ def run(context: Context) -> Outcome:
     )
 
 
-def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[str]:
+def _comparable(name: str, source: Source, corners: Floats, box: Floats) -> list[str]:
     """Reasons why the comparison of a surface, given by its ``corners``, with a reference is
     doubtful.
 
     Raises InputError if the two cannot be compared.
     """
     import numpy as np
-
-    from .inputs.mesh.source import MeshSource
 
     own = np.stack([corners.min(axis=0), corners.max(axis=0)])
     larger = float(np.linalg.norm(own[1] - own[0]) / np.linalg.norm(box[1] - box[0]))
@@ -215,9 +212,8 @@ def _comparable(name: str, source: Any, corners: Floats, box: Floats) -> list[st
             f"the surface is {larger:.3g} times as large as the reference {name}: the "
             "figures are meaningless unless both are the same whole shape in the same units"
         )
-    if isinstance(source, MeshSource):
-        warnings += [f"the reference {name}: {said}" for said in source.taken()]
-    holes = getattr(source, "open_edges", 0)
+    warnings += [f"the reference {name}: {said}" for said in source.remarks()]
+    holes = source.open_edges
     if holes:
         warnings.append(
             f"the reference {name} has holes ({holes} edges in one triangle only): the "
@@ -263,10 +259,17 @@ def _surface(context: Context) -> PolygonMesh:
     return mesh
 
 
-def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[str, Any]:
+def _mean_value(source: Source, points: Floats) -> float | None:
+    """The mean of ``|F|`` at ``points (N, 3)``, where the source is the zero set of F."""
+    import numpy as np
+
+    values = source.value(points)
+    return None if values is None else float(np.abs(values).mean())
+
+
+def _trained(context: Context, samples: int, radius: float, source: Source) -> dict[str, Any]:
     """Figures of the trained polygons, and conformity and certificate computed again from the
     files."""
-    import numpy as np
 
     from .mesh import geometry
     from .mesh.model_frame import ModelFrame
@@ -282,12 +285,8 @@ def _trained(context: Context, samples: int, radius: float, field: Any) -> dict[
     vertices, triangles, _ = geometry.fan_triangles(mesh)
     measured, valid = curvature.mean_curvature(vertices, triangles, radius, context.threads)
     bent = curvature.statistics(vertices, triangles, radius, measured, valid)
-    loss = None
-    if field is not None:
-        points, _ = geometry.sample_triangles(
-            vertices, triangles, samples, context.random("trained")
-        )
-        loss = float(np.abs(field.value(points)).mean())
+    points, _ = geometry.sample_triangles(vertices, triangles, samples, context.random("trained"))
+    loss = _mean_value(source, points)
     trained = TrainedSurface.stored(arrays, frame)
     certificate = trained.certificate(context.threads)
     agreement = conformity(trained.interface(), trained, context.threads)

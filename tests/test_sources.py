@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vorolight.stages.artifacts.randomness import generator
+from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.errors import InputError
 from vorolight.stages.inputs import classification
 from vorolight.stages.inputs.field.source import FIELDS, FieldSource
@@ -275,3 +276,16 @@ def test_a_soup_of_triangles_is_refused(tmp_path: Path, cli: Cli) -> None:
     apart = apart.mean(axis=1, keepdims=True) + 0.999 * (apart - apart.mean(axis=1, keepdims=True))
     faces = np.arange(apart.size // 3).reshape(-1, 3)
     MeshSource(write_obj(tmp_path / "apart.obj", apart.reshape(-1, 3), faces)).refuse_soup()
+
+
+def test_an_open_cap_becomes_a_sheet_of_one_voxel(tmp_path: Path, cli: Cli) -> None:
+    vertices, triangles = sphere_mesh(1.0, 3)
+    above = (vertices[triangles].mean(axis=1)[:, 2] > 0.6).nonzero()[0]
+    write_obj(tmp_path / "cap.obj", vertices, triangles[above])
+    done = cli("classify", "cap.obj", "-n", "16", cwd=tmp_path)
+    assert done.returncode == 0
+    folder = RunFolder(tmp_path / "cap.vorolight")
+    stored = folder.manifest("classify")
+    used = vertices[np.unique(triangles[above])]
+    assert stored["metrics"]["input"]["thickness"] == pytest.approx(np.ptp(used[:, 0]) / 16)
+    assert "is made a sheet" in done.stderr

@@ -12,7 +12,6 @@ from ..mesh.geometry import fan_triangles, sample_triangles, triangle_normals
 from ..mesh.model_frame import ModelFrame
 from ..mesh.voxels import VoxelGrid
 from ..remesh.length_field import LengthField, triangles_of
-from .mesh.triangle_source import TriangleSource
 from .source import Source
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ class Effort:
 
 def effort(source: Source, grid: VoxelGrid, edge: float) -> Effort:
     """Of ``source``, classified as ``grid``, with triangles of edges ``edge`` voxels long."""
-    if not isinstance(source, TriangleSource) or source.open_edges:
+    if source.topology() is None:
         sides = sum(
             int(np.count_nonzero(np.diff(np.pad(grid.interior, 1).astype(np.int8), axis=axis)))
             for axis in range(3)

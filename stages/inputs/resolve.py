@@ -12,10 +12,7 @@ from ..errors import InputError
 from ..formats import packed
 
 if TYPE_CHECKING:
-    from .mesh.source import MeshSource
-    from .points.source import PointSource
     from .source import Source
-    from .views.source import ViewSource
 
 
 KINDS = ("mesh", "points", "field", "views")
@@ -70,7 +67,7 @@ class Identity:
         from .mesh.source import MeshSource
         from .points.source import PointSource
 
-        source: FieldSource | MeshSource | PointSource | ViewSource
+        source: Source
         if self.kind == "field":
             source = FieldSource(self.name, path=self.path, allow_code=self.allow_code)
         elif self.kind == "views":

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..inputs.field.source import FieldSource
+from ..inputs.source import Source
 from ..mesh import geometry
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 from ..mesh.subdivision import subdivided
@@ -205,17 +205,19 @@ def resampled(
 
 
 def of_reference(
-    source: Any, samples: Floats, radius: float, distance: Distance | None, threads: int = 1
+    source: Source, samples: Floats, radius: float, distance: Distance | None, threads: int = 1
 ) -> dict[str, dict[str, Any] | None]:
     """|H| of the reference itself, what a smooth surface should reach: of fields what is exact at
     the ``samples (N, 3)``, of others by fits. Of all of it, and ``off_creases``, by their names
     in the manifest."""
     names = ("reference_curvature", "reference_curvature_off_creases")
-    if isinstance(source, FieldSource):
-        size = np.abs(source.mean_curvature(samples))
+    exact = source.mean_curvature(samples)
+    if exact is not None:
+        size = np.abs(exact)
         clear = np.empty(0) if distance is None else size[distance(samples) > radius]
         return dict(zip(names, (_exact(size), _exact(clear)), strict=True))
-    mesh = source.vertices, source.triangles
+    mesh = source.triangulated()
+    assert mesh is not None
     fits = mean_curvature(*mesh, radius, threads)
     found = (
         statistics(*mesh, radius, *fits),

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..inputs.points.source import PointSource
 from ..mesh.geometry import fan_triangles, sample_triangles
 from ..mesh.polygons import Floats, PolygonMesh
 from ..mesh.queries.parity import RayParity
@@ -106,21 +105,22 @@ def departures(
     vertices, triangles = fan_triangles(written)[:2]
     points = sample_triangles(vertices, triangles, SAMPLES, np.random.default_rng(0))[0]
     limit, reference = FAR, surface.samples
-    if isinstance(source, PointSource):
-        limit = max(FAR, SPACINGS * source.reconstruction.spacing / frame.spacing)
-        reference = frame.model_from_input(source.cloud.points[source.reconstruction.kept])
+    measured = source.measured_points()
+    if measured is not None:
+        limit = max(FAR, SPACINGS * measured.spacing / frame.spacing)
+        reference = frame.model_from_input(measured.points[measured.kept])
         distance = nearest(points, reference, threads)
     else:
         distance = np.linalg.norm(points - surface.closest(points)[0], axis=1)
     foot, _ = ClosestPoint(vertices, triangles, 0.0, threads).locate(reference)
     back = np.linalg.norm(reference - foot, axis=1)
     enclosed = 0.0
-    if isinstance(source, PointSource):
+    if measured is not None:
         far = reference[back > FAR]
         enclosed = RayParity(vertices, triangles).inside(far).sum() / len(reference)
     return Departures(
         Departure.of(points, distance, limit, frame),
         Departure.of(reference, back, FAR, frame),
-        isinstance(source, PointSource),
+        measured is not None,
         float(enclosed),
     )

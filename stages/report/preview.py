@@ -11,8 +11,6 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from ..artifacts import atomic
 from ..artifacts.run_folder import RunFolder
-from ..inputs.mesh.source import MeshSource
-from ..inputs.points.source import PointSource
 from ..inputs.resolve import up_axis
 from ..inputs.views.pictures import colours
 from ..inputs.views.source import ViewSource
@@ -49,15 +47,13 @@ def preview(source: Source, classified: Arrays, size: int = 480) -> Floats:
     """Three panels ``(H, 3 H, 3)``: the input, with what is wrong in it in red, of views four
     pictures with the outline of the surface; its interior voxels; and the middle slice of the
     grid, interior voxels, their band and the surface."""
-    if isinstance(source, ViewSource):
-        up = source.up
-    else:
-        up = up_axis(None if source.path is None else str(source.path))
+    views = source if isinstance(source, ViewSource) else None
+    up = views.up if views else up_axis(None if source.path is None else str(source.path))
     view = raster.view(up, AZIMUTH[up])
     frame = ModelFrame.of(classified)
     panels = [
-        _photographs(source, size)
-        if isinstance(source, ViewSource)
+        _photographs(views, size)
+        if views
         else raster.shaded(*_input(source, frame), view, size, size),
         raster.shaded(*_voxels(classified["interior"]), view, size, size),
         _slice(source, frame, classified, "xyz".index(up), size),
@@ -91,19 +87,19 @@ def _photographs(source: ViewSource, size: int) -> Floats:
 
 def _input(source: Source, frame: ModelFrame) -> tuple[Floats, Ints, Ints | None, Floats]:
     """Vertices, triangles, outlined groups and colours."""
-    if isinstance(source, MeshSource):
-        mesh = source.welded
+    mesh, measured = source.given_polygons(), source.measured_points()
+    if mesh is not None:
         vertices, triangles, face = fan_triangles(mesh)
         bad = np.zeros(len(vertices), dtype=bool)
         bad[bad_edges(mesh).reshape(-1)] = True
         wrong = bad[triangles].sum(axis=1) > 1
         return vertices, triangles, face, np.where(wrong[:, None], WRONG, FOUND)
-    if isinstance(source, PointSource):
-        points = frame.model_from_input(source.cloud.points)
-        out = ~source.reconstruction.kept
+    if measured is not None:
+        points = frame.model_from_input(measured.points)
+        out = ~measured.kept
         step = max(1, len(points) // DOTS)
         chosen = np.unique(np.concatenate([np.arange(0, len(points), step), np.flatnonzero(out)]))
-        edge = max(0.08, 0.5 * source.reconstruction.spacing / frame.spacing)
+        edge = max(0.08, 0.5 * measured.spacing / frame.spacing)
         return _dots(points[chosen], out[chosen], edge)
     surface = source.true_surface(frame, 1)
     return _dots(surface.samples, np.zeros(len(surface.samples), dtype=bool), 0.15)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from ...mesh.creases import Chain
 from ...mesh.model_frame import ModelFrame
-from ...mesh.polygons import Floats, PolygonMesh
+from ...mesh.polygons import Floats
 from ...mesh.queries.true_surface import TrueSurface
 from ...torch_start import settle
+from ..source import Source
 from . import code
 from .expression import Formula, parse, search_box
 from .grid import SampledField, load
@@ -88,7 +89,7 @@ FIELDS = {
 
 
 @dataclass
-class FieldSource:
+class FieldSource(Source):
     """A built-in field, the formula or function that is its name, or the samples in a file."""
 
     name: str
@@ -115,6 +116,18 @@ class FieldSource:
             lambda at: np.asarray(formula(at[:, 0], at[:, 1], at[:, 2], np)), self.name
         )
         return Field(formula, box, 0.5 * float(np.linalg.norm(box[1] - box[0])))
+
+    @property
+    def options(self) -> frozenset[str]:
+        return frozenset() if self.path is None else frozenset({"level"})
+
+    def configure(self, values: Mapping[str, Any]) -> None:
+        self.above = values["level"]
+
+    @property
+    def box_is_tight(self) -> bool:
+        """No: the box is the region that is searched."""
+        return False
 
     def bounding_box(self) -> Floats:
         return self.field.box.copy()
@@ -223,12 +236,6 @@ class FieldSource:
 
         box = frame.model_from_input(np.asarray(self.bounding_box(), dtype=float))
         return combined(self.exact_creases(frame, angle), surface, box, angle, exact=True)
-
-    def topology(self) -> tuple[int, int] | None:
-        return None
-
-    def manifold(self) -> PolygonMesh:
-        raise TypeError("the topology of a field is not known")
 
     def describe(self) -> dict[str, Any]:
         return {"kind": self.kind, "name": self.name}

@@ -14,7 +14,7 @@ from ...formats import packed
 from ...formats.mesh_file import load
 from ...mesh.creases import Chain
 from ...mesh.model_frame import ModelFrame
-from ...mesh.polygons import PolygonMesh
+from ...mesh.polygons import Ints, PolygonMesh
 from ...mesh.topology import bad_edges, edges
 from ..creases.sharp_edges import of_triangles
 from .repair_child import repaired
@@ -81,6 +81,35 @@ class MeshSource(TriangleSource):
                 "points, or continue with --allow-poor-input"
             )
 
+    def median_edge_length(self) -> float:
+        """``h_ref`` of the paper's curvature metric: over the polygon edges as found."""
+        ends: Ints = edges(self.joined)
+        at = self.joined.vertices[ends]
+        return float(np.median(np.linalg.norm(at[:, 0] - at[:, 1], axis=1)))
+
+    def given_polygons(self) -> PolygonMesh:
+        """With one vertex at every place; their union where closed parts cross."""
+        return self.welded
+
+    @property
+    def options(self) -> frozenset[str]:
+        return frozenset({"repair", "weld", "shells", "thickness"})
+
+    def configure(self, values: Mapping[str, Any]) -> None:
+        """Raises InputError for a mesh that is not the surface of a solid."""
+        self.repair, self.reach = values["repair"], values["weld"]
+        self.hollow = values["shells"] == "alternate"
+        thickness = values["thickness"]
+        if thickness is None and not values["allow_poor_input"]:
+            self.refuse_soup()
+        if thickness is None and (self.flat or self.sureness < SHEET):
+            thickness = float(np.ptp(self.bounding_box(), axis=0).max()) / values["n_init"]
+        self.take_as_sheet(thickness or 0.0)
+
+    def extra_memory(self) -> float:
+        """Triangles are searched by compiled loops."""
+        return 50.0
+
     def exact_creases(self, frame: ModelFrame, angle: float) -> list[Chain]:
         """The sharp edges of the mesh."""
         return of_triangles(frame.model_from_input(self.vertices), self.triangles, angle)
@@ -135,9 +164,9 @@ class MeshSource(TriangleSource):
                 f"{self.thickness:g} thick; for a solid, close it or use --repair; "
                 "--thickness sets the thickness"
             )
-        return said + self.taken() + self._open_warnings()
+        return said + self.remarks() + self._open_warnings()
 
-    def taken(self) -> list[str]:
+    def remarks(self) -> list[str]:
         """What is taken otherwise than it is in the file."""
         said = []
         if self.parted is not None:

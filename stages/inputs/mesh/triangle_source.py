@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from functools import cached_property
 
 import numpy as np
@@ -16,8 +16,9 @@ from ...mesh.polygons import Floats, Ints, PolygonMesh
 from ...mesh.queries.parity import RayParity
 from ...mesh.queries.true_surface import TrueSurface
 from ...mesh.queries.winding import WindingNumber, winding_number
-from ...mesh.topology import bad_edges, edges, split_pinched, topology
+from ...mesh.topology import bad_edges, split_pinched, topology
 from ..creases.combined import combined
+from ..source import Source
 from .caps import capped
 from .true_surface import LEVEL, MeshSurface
 from .united import Union, parted, united, without_walls
@@ -70,7 +71,7 @@ def _joined(mesh: PolygonMesh, loose: Ints, reach: float) -> PolygonMesh:
     return PolygonMesh(mesh.vertices, offsets, corners[kept]).without_unused_vertices()
 
 
-class TriangleSource(ABC):
+class TriangleSource(Source):
     """The surface of ``polygons``, which stay as they are."""
 
     reach: float | None = None
@@ -95,6 +96,9 @@ class TriangleSource(ABC):
     @cached_property
     def _fanned(self) -> tuple[Floats, Ints]:
         return geometry.fan_triangles(self.welded)[:2]
+
+    def triangulated(self) -> tuple[Floats, Ints]:
+        return self._fanned
 
     def bounding_box(self) -> Floats:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
@@ -201,12 +205,6 @@ class TriangleSource(ABC):
 
     def surface_samples(self, count: int, random: np.random.Generator) -> Floats:
         return geometry.sample_triangles(self.vertices, self.triangles, count, random)[0]
-
-    def median_edge_length(self) -> float:
-        """``h_ref`` of the paper's curvature metric: over the polygon edges as found."""
-        ends: Ints = edges(self.joined)
-        at = self.joined.vertices[ends]
-        return float(np.median(np.linalg.norm(at[:, 0] - at[:, 1], axis=1)))
 
     def topology(self) -> tuple[int, int] | None:
         """Of a closed mesh: a vertex where several fans of faces meet counts once for each."""

@@ -18,6 +18,7 @@ from ...mesh.polygons import Floats, PolygonMesh
 from ...mesh.queries.true_surface import TrueSurface
 from ...mesh.topology import topology
 from ..mesh.triangle_source import TriangleSource
+from ..source import MeasuredPoints
 from .reconstruction import AGREE, Reconstruction, reconstruct
 
 WORTH_SAYING = 5e-3
@@ -28,12 +29,12 @@ class PointSource(TriangleSource):
     """Points from a file, with or without normals."""
 
     kind = "points"
+    path: Path
 
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, packed.stem(path)
         self.columns: str | None = None
         self.given_noise: float | None = None
-        self.threads = 1
 
     @cached_property
     def cloud(self) -> LoadedCloud:
@@ -54,6 +55,20 @@ class PointSource(TriangleSource):
     def polygons(self) -> PolygonMesh:
         found = self.reconstruction
         return PolygonMesh.of_triangles(found.vertices, found.triangles)
+
+    @property
+    def options(self) -> frozenset[str]:
+        return frozenset({"noise", "columns"})
+
+    def configure(self, values: Mapping[str, Any]) -> None:
+        self.given_noise, self.columns = values["noise"], values["columns"]
+
+    def extra_memory(self) -> float:
+        return 350.0 + 3.5e-4 * len(self.cloud.points)
+
+    def measured_points(self) -> MeasuredPoints:
+        found = self.reconstruction
+        return MeasuredPoints(self.cloud.points, found.kept, found.spacing)
 
     @property
     def noise(self) -> float:

@@ -17,16 +17,17 @@ from ...mesh.model_frame import ModelFrame
 from ...mesh.polygons import Floats, Ints, PolygonMesh
 from ...mesh.queries.true_surface import TrueSurface
 from ...mesh.topology import topology
+from ...progress import Progress
 from ...render.cameras import Camera
 from ...render.views import COVERED, Views
 from ..mesh.triangle_source import TriangleSource
 from . import alignment as view_alignment
 from . import files as view_files
 from . import pictures as view_pictures
-from .fit import fit
+from .fit import fit, levels
 from .hull import VisualHull, signed_distances
 from .overlap import overlaps
-from .silhouettes import PLAIN, Reading
+from .silhouettes import PLAIN, Reading, parse_background
 
 CELLS = 96
 """Along the longest side of the grid that the hull is found on."""
@@ -47,12 +48,40 @@ class ViewSource(TriangleSource):
         self.name = view_files.name_of(path)
         self.found = view_files.read(path)
         self.votes = 0
-        self.threads = 1
         self.reading = PLAIN
         self.fit: view_alignment.Fit | None = None
         self._restored = False
         self.tick = lambda: None
         self._agreement: Floats | None = None
+
+    @property
+    def options(self) -> frozenset[str]:
+        return frozenset({"mask_votes", "invert_masks", "background", "enclosed"})
+
+    def configure(self, values: Mapping[str, Any]) -> None:
+        """Raises UsageError for a background that is no colour."""
+        self.votes = values["mask_votes"]
+        background = parse_background(values["background"] or "auto")
+        self.reading = Reading(
+            background, values["enclosed"] == "background", values["invert_masks"]
+        )
+
+    def prepare(self, progress: Progress) -> None:
+        """Fit the surface to the views."""
+        progress.start("fit to the views", sum(level.rounds for level in levels(self.views)))
+        done = 0
+
+        def tick() -> None:
+            nonlocal done
+            done += 1
+            progress.advance(done)
+
+        self.tick = tick
+        self.polygons  # noqa: B018
+        progress.finish()
+
+    def extra_memory(self) -> float:
+        return 450.0 + 2e-5 * self.views.masks.size
 
     @cached_property
     def views(self) -> Views:

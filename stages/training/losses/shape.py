@@ -7,7 +7,7 @@ paper's division by h0^2 is in that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -20,7 +20,6 @@ from .images import ImageLoss
 
 if TYPE_CHECKING:
     from ...engine.stage import Context
-    from ...inputs.views.source import ViewSource
     from ...mesh.queries.true_surface import TrueSurface
 
 ON_SURFACE = 1e-6
@@ -59,11 +58,11 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | Im
     Raises UsageError when the input does not have it.
     """
     from ...inputs.field.source import FieldSource
-    from ...inputs.points.source import PointSource
+    from ...inputs.views.source import ViewSource
 
     source, params = context.source(), context.params
-    if source.kind == "views" and kind in ("images", "paper"):
-        views = cast("ViewSource", source).views.in_frame(frame.origin, frame.spacing)
+    if isinstance(source, ViewSource) and kind in ("images", "paper"):
+        views = source.views.in_frame(frame.origin, frame.spacing)
         return ImageLoss(views, context.seed, context.threads)
     if kind == "images":
         raise UsageError(
@@ -84,7 +83,7 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | Im
     target = frame.model_from_input(
         source.surface_samples(params.target_samples, context.random("target"))
     )
-    if isinstance(source, PointSource) and source.noise > NOISY * frame.spacing:
+    if source.noise > NOISY * frame.spacing:
         # The mean of what lies around a surface is not on it: robustly, its points are.
         target = context.surface.closest(target)[0]
     return Chamfer(target, context.threads)
