@@ -11,15 +11,16 @@ from conftest import ball, fibonacci
 from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.mesh import geometry
 from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.polyhedra import PolyhedralMesh
 from vorolight.stages.mesh.topology import edges
 from vorolight.stages.metrics.polyhedra import quality
 from vorolight.stages.training.cvt import Descent
-from vorolight.stages.voronoi.cells.assembly.assembly import PolyhedralMesh, contracted, raw_cells
-from vorolight.stages.voronoi.cells.assembly.boundary import Boundary
-from vorolight.stages.voronoi.cells.assembly.checks import cell_faults
-from vorolight.stages.voronoi.cells.assembly.interior import Guard, sample
-from vorolight.stages.voronoi.cells.assembly.moments import cell_moments
-from vorolight.stages.voronoi.cells.assembly.slivers import merged
+from vorolight.stages.voronoi.cells.assembly import contracted, raw_cells
+from vorolight.stages.voronoi.cells.boundary import Boundary
+from vorolight.stages.voronoi.cells.checks import cell_faults
+from vorolight.stages.voronoi.cells.interior import Guard, sample
+from vorolight.stages.voronoi.cells.moments import cell_moments
+from vorolight.stages.voronoi.cells.slivers import merged
 from vorolight.stages.voronoi.diagram.cleanup import clean
 from vorolight.stages.voronoi.diagram.delaunay import delaunay
 from vorolight.stages.voronoi.diagram.interface import interface

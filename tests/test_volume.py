@@ -19,13 +19,14 @@ from scipy.spatial import ConvexHull
 from vorolight.stages.errors import InputError, NumericalFailure
 from vorolight.stages.mesh.geometry import enclosed_volume, face_frames, fan_triangles
 from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.polyhedra import PolyhedralMesh
 from vorolight.stages.training.cvt import Descent, PaperDescent
 from vorolight.stages.training.losses.cvt import cvt
-from vorolight.stages.voronoi.cells.assembly.assembly import PolyhedralMesh, raw_cells
-from vorolight.stages.voronoi.cells.assembly.boundary import Boundary
-from vorolight.stages.voronoi.cells.assembly.grading import Sizes, depths
-from vorolight.stages.voronoi.cells.assembly.interior import Guard, sample
-from vorolight.stages.voronoi.cells.assembly.slivers import merged
+from vorolight.stages.voronoi.cells.assembly import raw_cells
+from vorolight.stages.voronoi.cells.boundary import Boundary
+from vorolight.stages.voronoi.cells.grading import Sizes, depths
+from vorolight.stages.voronoi.cells.interior import Guard, sample
+from vorolight.stages.voronoi.cells.slivers import merged
 from vorolight.stages.voronoi.diagram.cleanup import clean
 from vorolight.stages.voronoi.diagram.delaunay import delaunay
 from vorolight.stages.voronoi.diagram.interface import interface

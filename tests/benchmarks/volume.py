@@ -23,11 +23,11 @@ from results import write
 
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.mesh.model_frame import ModelFrame
+from vorolight.stages.mesh.polyhedra import PolyhedralMesh
 from vorolight.stages.metrics.polyhedra import face_centres, quality
 from vorolight.stages.training.cvt import Descent
-from vorolight.stages.voronoi.cells.assembly.assembly import PolyhedralMesh
-from vorolight.stages.voronoi.cells.assembly.interior import Guard
-from vorolight.stages.voronoi.cells.assembly.moments import cell_moments
+from vorolight.stages.voronoi.cells.interior import Guard
+from vorolight.stages.voronoi.cells.moments import cell_moments
 
 SKEWED = 4
 """Above it checkMesh warns of a face."""
