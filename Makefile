@@ -71,7 +71,7 @@ $(VENV)/benched-with: $(VENV)/installed
 	@touch $@
 
 # Two files of tests at a time, the long ones first: most of their time is one thread's.
-PYTEST = OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 2 --dist loadscope --no-loadscope-reorder
+PYTEST = OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -n 2 --dist loadscope --no-loadscope-reorder --durations=20
 test: $(VENV)/tested-with
 	$(PYTEST)
 test-all: $(VENV)/tested-with

@@ -158,8 +158,6 @@ def _configured(context: Context) -> Source:
     """The input, with the options that are for it. Raises UsageError for an option that this kind
     of input does not know."""
     source, params = context.source(), context.params
-    if source.configured:
-        return source
     for name, needed in NEEDS.items():
         default = getattr(Params, name)
         if getattr(params, name) != default and name not in source.options:
@@ -169,7 +167,6 @@ def _configured(context: Context) -> Source:
             )
     source.threads = context.threads
     source.configure(vars(params))
-    source.configured = True
     return source
 
 

@@ -85,9 +85,7 @@ def run(context: Context) -> Outcome:
     name = params.reference or source.name
     warnings = _comparable(name, source, mesh.vertices[mesh.face_vertices], np.stack([low, high]))
     diagonal, longest = float(np.linalg.norm(high - low)), float(np.max(high - low))
-    whole = None
-    if given is not None:
-        whole = PolygonMesh.of_triangles(*geometry.fan_triangles(given)[:2])
+    whole = given and PolygonMesh.of_triangles(*geometry.fan_triangles(given)[:2])
     distances = chamfer.chamfer(
         predicted / diagonal,
         reference / diagonal,

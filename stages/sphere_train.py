@@ -32,8 +32,7 @@ it."""
 def run(context: Context) -> Outcome:
     """Train spheres and pairs of generators (the paper's sections 3.3 and 3.4), and write the
     surface."""
-    # Formulas are differentiated by torch, which is large.
-    if context.params.by_adam or context.source().kind == "field":
+    if context.params.by_adam or context.source().needs_torch:
         torch_start.start(context.threads)
     return _as_in_the_paper(context) if context.params.by_adam else _conforming(context)
 
@@ -259,7 +258,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=14,
+    version=15,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

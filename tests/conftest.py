@@ -22,6 +22,7 @@ from vorolight.stages.mesh.geometry import face_frames
 from vorolight.stages.mesh.model_frame import ModelFrame
 from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.mesh.queries.true_surface import TrueSurface
+from vorolight.stages.render.cameras import Camera
 from vorolight.stages.solvers.gauss_newton import Problem
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -183,6 +184,16 @@ def surface_of(path: Path, mesh: tuple, spacing: float = 1.0) -> TrueSurface:
     """The true surface of a mesh that is first written to ``path``."""
     frame = ModelFrame(np.zeros(3), spacing)
     return MeshSource(write_ply(path, *mesh)).true_surface(frame, threads=2)
+
+
+CAMERA_MATRIX = np.array([[300.0, 2.0, 120.0], [0, 310.0, 90.0], [0, 0, 1]])
+
+
+def camera(seed: int = 0, orthographic: bool = False) -> Camera:
+    matrix = CAMERA_MATRIX.copy()
+    if orthographic:
+        matrix[:2, :2] /= 4
+    return Camera(240, 180, matrix, random_rotation(seed), np.array([0.2, -0.1, 4.0]), orthographic)
 
 
 def sphere_mesh(radius: float = 1.0, level: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.errors import NumericalFailure
 from vorolight.stages.formats import ply
+from vorolight.stages.mesh import spheres as mesh_spheres
 from vorolight.stages.mesh.edge_table import Sized
 from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.mesh.topology import topology
@@ -79,7 +80,7 @@ def test_a_file_has_the_topology_that_was_certified(tmp_path: Path, sphere: Case
 @pytest.mark.parametrize("size", [0.05, 0.4, 4.0])
 def test_the_margin_is_that_of_all_generators(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many generators lie within half a voxel of a sphere, few of them are looked at."""
-    monkeypatch.setattr(certificate, "AT_ONCE", 50)
+    monkeypatch.setattr(mesh_spheres, "AT_ONCE", 50)
     case = case_of(*sphere_mesh(size, 2), 0.3 * size)
     mesh, count = case.mesh, case.mesh.vertex_count
     squared = ((case.generators[:, None] - mesh.vertices) ** 2).sum(axis=2) - case.radii**2

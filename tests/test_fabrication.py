@@ -14,6 +14,7 @@ from manifold3d import Manifold
 from vorolight.stages.errors import UsageError
 from vorolight.stages.fabrication import (
     assembly,
+    base,
     layers,
     plates,
     printability,
@@ -304,3 +305,15 @@ def test_a_few_sealed_faces_are_no_warning() -> None:
     places = np.zeros((3, 3))
     assert printability.sealed(places, np.zeros(3), 300).verdict == "ok"
     assert printability.sealed(places, np.zeros(3), 299).verdict == "warn"
+
+
+def test_balance() -> None:
+    square = np.array([[-10, -10], [10, -10], [10, 10], [-10, 10]], float)
+    assert base.balance(np.array([0, 0, 10]), square).tilt_degrees == pytest.approx(45)
+    assert base.balance(np.array([12, 0, 10]), square).tilt_degrees < 0
+    top = Manifold.cube((40, 10, 10)).translate((0, -5, 20))
+    leaning = Manifold.cube((10, 10, 30)).translate((0, -5, 0)) + top
+    centre = np.array([16.0, 0.0, 22.0])
+    slab, widened = base.foot(leaning, centre)
+    assert widened
+    assert base.balance(centre, base.footprint(slab)).tilt_degrees >= base.TILT

@@ -136,18 +136,6 @@ def test_sockets_have_a_ring_and_room_for_the_bulb() -> None:
     assert cavity.bulb == lights.Room(23.0, cavity.top, cavity.top + 80.5)
 
 
-def test_balance() -> None:
-    square = np.array([[-10, -10], [10, -10], [10, 10], [-10, 10]], float)
-    assert base.balance(np.array([0, 0, 10]), square).tilt_degrees == pytest.approx(45)
-    assert base.balance(np.array([12, 0, 10]), square).tilt_degrees < 0
-    top = Manifold.cube((40, 10, 10)).translate((0, -5, 20))
-    leaning = Manifold.cube((10, 10, 30)).translate((0, -5, 0)) + top
-    centre = np.array([16.0, 0.0, 22.0])
-    slab, widened = base.foot(leaning, centre)
-    assert widened
-    assert base.balance(centre, base.footprint(slab)).tilt_degrees >= base.TILT
-
-
 @pytest.fixture(scope="module")
 def ball_run(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Path:
     """A small sphere with its cells, nothing fabricated yet."""

@@ -11,8 +11,10 @@ from vorolight.stages.inputs.field.source import FieldSource
 from vorolight.stages.mesh.frames import Connectivity, face_frames
 from vorolight.stages.mesh.model_frame import ModelFrame
 from vorolight.stages.mesh.polygons import PolygonMesh
+from vorolight.stages.mesh.spheres import initial_spheres, near_pairs
 from vorolight.stages.progress import Silent
 from vorolight.stages.solvers.adam import Schedule, adam
+from vorolight.stages.training import paper
 from vorolight.stages.training.losses import regularization, shape, sphere
 
 MESH = PolygonMesh.of_triangles(*sphere_mesh(1.0, 1))
@@ -132,15 +134,18 @@ def test_chamfer() -> None:
     assert torch.autograd.gradcheck(lambda x: loss(x, True), samples)
 
 
+class Nowhere:
+    """Checkpoints that are not kept."""
+
+    def latest(self) -> None:
+        return None
+
+    def save(self, iteration: int, arrays: dict) -> None:
+        pass
+
+
 @pytest.mark.parametrize("patience", [None, 10])
 def test_training_ends_where_nothing_is_won(patience: int | None) -> None:
-    class Nowhere:
-        def latest(self) -> None:
-            return None
-
-        def save(self, iteration: int, arrays: dict) -> None:
-            pass
-
     place = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
     history = adam(
         {"place": place},
@@ -153,3 +158,23 @@ def test_training_ends_where_nothing_is_won(patience: int | None) -> None:
     )
     assert abs(float(place.detach())) < 1  # overshooting, Adam comes back slowly
     assert len(history) == 400 if patience is None else 20 < len(history) < 200
+
+
+def test_a_radius_that_steps_through_zero_is_positive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The losses depend on its square, and its sphere is searched for intruders all the same."""
+    radii, offsets = initial_spheres(MESH)
+    radii[0] *= -1
+    monkeypatch.setattr(paper, "initial_spheres", lambda mesh: (radii, offsets))
+    searched = []
+
+    def near(*asked: object) -> tuple[np.ndarray, np.ndarray]:
+        searched.append(asked[3])
+        return near_pairs(*asked)
+
+    monkeypatch.setattr(paper, "near_pairs", near)
+    weights = dict.fromkeys(("intersection", "exclusion", "shape", "normal"), 1.0)
+    loss = shape.level_set(FieldSource("sphere").level, FRAME)
+    schedule = Schedule(2, 1e-3, "constant", 100)
+    found = paper.train(MESH, loss, weights, schedule, Nowhere(), Silent(), "cpu", 1)
+    assert (found[1] > 0).all()
+    assert (searched[0] == np.abs(radii)).all()

@@ -371,26 +371,6 @@ def test_other_shapes_are_said_to_be_other(heart_run: Path, tmp_path: Path, cli:
     assert ">best<" not in text
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "reason"),
-    [
-        (["RUN"], 2, "two or more run folders"),
-        (["RUN", "RUN"], 2, "given twice"),
-        (["RUN", "nowhere"], 4, "no such run folder"),
-        (["RUN", "."], 4, "no stage is done"),
-        (["RUN", ".", "-o", "no/such/page.html"], 2, "another file with -o"),
-    ],
-    ids=["one", "twice", "nowhere", "no run", "no folder"],
-)
-def test_what_cannot_be_compared(
-    words: list[str], code: int, reason: str, heart_run: Path, tmp_path: Path, cli: Cli
-) -> None:
-    said = [str(heart_run) if word == "RUN" else word for word in words]
-    done = cli("compare", *said, cwd=tmp_path)
-    assert (done.returncode, reason in done.stderr) == (code, True), done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 def test_the_same_files_make_the_same_page(
     heart_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

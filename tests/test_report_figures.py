@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import sphere_mesh
+from conftest import Cli, sphere_mesh
 
 from vorolight.stages.artifacts.hdf5 import read
 from vorolight.stages.mesh.topology import topology
@@ -56,3 +56,23 @@ def test_numbers_are_written_to_be_read() -> None:
     assert tables.shown(None, "default") == "default"
     assert comparison.best([1.0, 0.5, None], 0.0) == [False, True, False]
     assert comparison.best([1.0, 1.0], 0.0) == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "reason"),
+    [
+        (["RUN"], 2, "two or more run folders"),
+        (["RUN", "RUN"], 2, "given twice"),
+        (["RUN", "nowhere"], 4, "no such run folder"),
+        (["RUN", "."], 4, "no stage is done"),
+        (["RUN", ".", "-o", "no/such/page.html"], 2, "another file with -o"),
+    ],
+    ids=["one", "twice", "nowhere", "no run", "no folder"],
+)
+def test_what_cannot_be_compared(
+    words: list[str], code: int, reason: str, heart_run: Path, tmp_path: Path, cli: Cli
+) -> None:
+    said = [str(heart_run) if word == "RUN" else word for word in words]
+    done = cli("compare", *said, cwd=tmp_path)
+    assert (done.returncode, reason in done.stderr) == (code, True), done.stderr
+    assert done.stderr.count("\n") == 1

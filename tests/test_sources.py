@@ -289,3 +289,15 @@ def test_an_open_cap_becomes_a_sheet_of_one_voxel(tmp_path: Path, cli: Cli) -> N
     used = vertices[np.unique(triangles[above])]
     assert stored["metrics"]["input"]["thickness"] == pytest.approx(np.ptp(used[:, 0]) / 16)
     assert "is made a sheet" in done.stderr
+
+
+def test_memory_is_checked_before_a_mesh_is_examined(tmp_path: Path, cli: Cli) -> None:
+    corners = np.random.default_rng(0).random((300, 3))
+    write_obj(tmp_path / "soup.obj", corners, np.arange(300).reshape(-1, 3))
+    # That the mesh is no solid takes long to find out.
+    done = cli("classify", "soup.obj", "--max-memory", "0.1", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--max-memory allows 0.1 GB" in done.stderr
+    done = cli("classify", "soup.obj", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "is not the surface of a solid" in done.stderr

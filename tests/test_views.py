@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import edit, random_rotation, sphere_mesh, torus_mesh, write_ply
+from conftest import (
+    CAMERA_MATRIX,
+    camera,
+    edit,
+    sphere_mesh,
+    torus_mesh,
+    write_ply,
+)
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -20,16 +27,7 @@ from vorolight.stages.inputs.views import pictures as view_pictures
 from vorolight.stages.inputs.views.source import ViewSource
 from vorolight.stages.inputs.views.writer import write_views
 from vorolight.stages.render import image_file
-from vorolight.stages.render.cameras import Camera, looking, rigid
-
-MATRIX = np.array([[300.0, 2.0, 120.0], [0, 310.0, 90.0], [0, 0, 1]])
-
-
-def camera(seed: int = 0, orthographic: bool = False) -> Camera:
-    matrix = MATRIX.copy()
-    if orthographic:
-        matrix[:2, :2] /= 4
-    return Camera(240, 180, matrix, random_rotation(seed), np.array([0.2, -0.1, 4.0]), orthographic)
+from vorolight.stages.render.cameras import Camera, rigid
 
 
 @pytest.fixture(scope="module")
@@ -47,46 +45,6 @@ def copied(torus: Path, tmp_path: Path) -> Path:
     import shutil
 
     return Path(shutil.copytree(torus, tmp_path / "views"))
-
-
-@pytest.mark.parametrize("orthographic", [False, True])
-def test_a_camera_projects_moves_and_differentiates(orthographic: bool) -> None:
-    here = camera(3, orthographic)
-    points = np.random.default_rng(0).normal(size=(20, 3)) * 0.3
-    projected = here.project(points)
-    placed = points @ here.rotation.T + here.translation
-    depth = 1.0 if orthographic else placed[:, 2:]
-    flat = placed / depth
-    flat[:, 2] = 1
-    np.testing.assert_allclose(projected[:, :2], (flat @ here.matrix.T)[:, :2], atol=1e-9)
-    h = 1e-6
-    for axis in range(3):
-        step = h * np.eye(3)[axis]
-        slope = (here.project(points + step) - here.project(points - step))[:, :2] / (2 * h)
-        np.testing.assert_allclose(here.jacobian(points)[:, :, axis], slope, atol=1e-5)
-    origin, spacing = np.array([0.3, 0.2, -0.1]), 0.07
-    moved = here.in_frame(origin, spacing)
-    again = moved.project((points - origin) / spacing)
-    np.testing.assert_allclose(again[:, :2], projected[:, :2], atol=1e-8)
-    small = here.shrunk(2).project(points)
-    np.testing.assert_allclose(small[:, :2], projected[:, :2] / 2, atol=1e-9)
-    # The point that a pixel shows lies on its ray.
-    ray = here.rays(projected[:, :2])
-    if not orthographic:
-        way = points - here.position
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        np.testing.assert_allclose(way, ray, atol=1e-9)
-    on = here.project(points + 0.1 * ray)
-    np.testing.assert_allclose(on[:, :2], projected[:, :2], atol=1e-8)
-    assert (on[:, 2] < projected[:, 2]).all()
-
-
-def test_a_camera_that_looks_has_its_axis_through_the_target() -> None:
-    for up in (np.array([0.0, 0, 1]), np.array([1.0, 2, -0.5])):  # the first is along the view
-        here = looking(np.array([0.0, 0, 5]), np.zeros(3), up, MATRIX, 64, False)
-        assert rigid(here.rotation)
-        np.testing.assert_allclose(here.position, [0, 0, 5], atol=1e-12)
-        np.testing.assert_allclose(here.project(np.zeros((1, 3)))[0, :2], MATRIX[:2, 2])
 
 
 def test_written_views_read_back(torus: Path) -> None:
@@ -170,7 +128,7 @@ def on_disk(folder: Path, layout: str, cameras: list[Camera], names: list[str]) 
 def test_every_layout_gives_the_same_cameras(layout: str, tmp_path: Path) -> None:
     cameras = [camera(seed) for seed in range(3)]
     if layout.startswith("colmap"):
-        straight = MATRIX.copy()
+        straight = CAMERA_MATRIX.copy()
         straight[0, 1] = 0
         cameras = [Camera(240, 180, straight, c.rotation, c.translation, False) for c in cameras]
     names = [f"v{number}.png" for number in range(3)]

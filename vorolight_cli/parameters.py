@@ -1,4 +1,4 @@
-"""Convert StageParams dataclasses to command-line options and back, so that nothing is declared
+"""Convert dataclasses of parameters to command-line options and back, so that nothing is declared
 twice."""
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _annotation(option: Option, name: str, group: str) -> Any:
         if option.type is bool:
             shown = "yes" if shown else "no"
         meaning += f" [default: {shown:g}]" if option.type is float else f" [default: {shown}]"
-    # Choices and limits are checked by StageParams, so that every caller gets the same sentence.
+    # Choices and limits are checked by the parameters, so that every caller gets the same sentence.
     plain = option.type if option.type in (int, float, bool) and option.length is None else str
     return Annotated[
         plain | None,
@@ -139,7 +139,7 @@ def build(
     names: dict[str, str],
     recorded: dict[str, Any] | None = None,
 ) -> StageParams:
-    """A stage's StageParams, in this order: command line, config file, recorded values, defaults.
+    """A stage's parameters, in this order: command line, config file, recorded values, defaults.
 
     Raises UsageError for values that do not fit.
     """

@@ -64,7 +64,7 @@ class Effort:
 
 def effort(source: Source, grid: VoxelGrid, edge: float) -> Effort:
     """Of ``source``, classified as ``grid``, with triangles of edges ``edge`` voxels long."""
-    if source.topology() is None:
+    if source.open_edges or source.triangulated() is None:
         sides = sum(
             int(np.count_nonzero(np.diff(np.pad(grid.interior, 1).astype(np.int8), axis=axis)))
             for axis in range(3)

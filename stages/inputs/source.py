@@ -44,8 +44,9 @@ class Source(ABC):
     """The file it comes from; None for a built-in field."""
     threads: int = 1
     """How many threads may open and prepare it."""
-    configured = False
-    """Whether ``configure`` was called, which may change what the input is."""
+
+    needs_torch = False
+    """Whether derivatives of it are found by torch, which is large."""
 
     @property
     def options(self) -> frozenset[str]:
@@ -53,7 +54,11 @@ class Source(ABC):
         return frozenset()
 
     def configure(self, values: Mapping[str, Any]) -> None:
-        """Take the values of all options of stage classify, before anything else is called."""
+        """Take the values of all options of stage classify, before anything else is called.
+
+        It must be quick and may be called again, since the memory is estimated after it and
+        checked before ``prepare``.
+        """
         return
 
     def prepare(self, progress: Progress) -> None:

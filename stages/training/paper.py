@@ -60,7 +60,7 @@ def train(
                 mesh,
                 points.detach().cpu().numpy(),
                 centres.detach().cpu().numpy(),
-                radii.detach().cpu().numpy(),
+                radii.detach().abs().cpu().numpy(),
                 NEIGHBOUR_SLACK,
                 threads,
             )
@@ -82,5 +82,6 @@ def train(
         }
 
     history = adam(parameters, losses, weights, schedule, checkpoints, progress, "sphere-train")
-    found = [tensor.detach().cpu().numpy() for tensor in parameters.values()]
+    # The losses depend on the squares of radii only, so a step may lead through zero.
+    found = [tensor.detach().cpu().numpy() for tensor in (centres, radii.abs(), offsets)]
     return found[0], found[1], found[2], history

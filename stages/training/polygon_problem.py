@@ -20,7 +20,7 @@ from ..mesh.topology import edges
 from ..remesh.fitting import backward, forward
 from ..solvers.laplacian import Laplacian
 from ..solvers.least_squares import Block
-from .losses import triangle_pairs as conforming
+from .losses import triangle_pairs
 from .sphere_problem import SHARP, SLACK, OnSpheres, on_creases
 from .spheres import SAFE, Spheres
 
@@ -95,7 +95,9 @@ class Planes:
         return 4 * self.vertex[:, None] + np.arange(3)
 
 
-def incidence(state: Spheres, corners: Corners) -> tuple[Floats, Floats, Floats, conforming.Pairs]:
+def incidence(
+    state: Spheres, corners: Corners
+) -> tuple[Floats, Floats, Floats, triangle_pairs.Pairs]:
     """Of each further corner the height above the plane of its face and the power of the radical
     centre to its sphere beyond that to the others, ``(E,)`` each; its barycentric coordinates
     ``(E, 3)`` among the defining corners; and the pairs of the faces."""
@@ -114,7 +116,7 @@ def incidence(state: Spheres, corners: Corners) -> tuple[Floats, Floats, Floats,
 
 
 def incidence_gradient(
-    state: Spheres, corners: Corners, share: Floats, pairs: conforming.Pairs
+    state: Spheres, corners: Corners, share: Floats, pairs: triangle_pairs.Pairs
 ) -> tuple[Ints, Floats, Floats]:
     """Derivatives of both: columns ``(E, 16)`` of ``(c_v, r_v)`` and values ``(E, 16)`` each.
 
@@ -249,7 +251,9 @@ class PolygonProblem(OnSpheres):
         blocks.append(Block.dense(self.planes.columns, values, residuals["plane"]))
         strict = np.sqrt(self.weights["exclusion"])
         row = np.flatnonzero(residuals["offset"])
-        columns, values = conforming.square_gradient(pairs.centre[row], own[row], centres, radii)
+        columns, values = triangle_pairs.square_gradient(
+            pairs.centre[row], own[row], centres, radii
+        )
         values = values * (-strict / self.face_length[row] ** 2)[:, None]
         blocks.append(Block.dense(columns, values, residuals["offset"][row]))
         row = np.flatnonzero(residuals["convex"])

@@ -17,7 +17,7 @@ from ..mesh.spheres import near_pairs
 from ..remesh.fitting import Rows, backward, forward
 from ..solvers.laplacian import Laplacian
 from ..solvers.least_squares import Block
-from .losses import triangle_pairs as conforming
+from .losses import triangle_pairs
 from .spheres import SAFE, Spheres, rings_around
 
 if TYPE_CHECKING:
@@ -135,14 +135,14 @@ class OnSpheres:
         return blocks
 
     def exclusion_block(
-        self, state: Spheres, pairs: conforming.Pairs, weight: float, residual: Floats
+        self, state: Spheres, pairs: triangle_pairs.Pairs, weight: float, residual: Floats
     ) -> Block:
         """Generators that are to stay out of other spheres; one that stands for a missing pair
         follows no sphere. ``weight``: the root of it."""
         row = np.flatnonzero(residual)
         point, sphere = self.near[0][row], self.near[1][row]
         floor, face = state.smallest**2, point % len(state.triangles)
-        columns, values = conforming.power_gradient(
+        columns, values = triangle_pairs.power_gradient(
             pairs.points(floor)[point], state.triangles[face], sphere, state.centres, state.radii
         )
         values[pairs.square[face] <= floor[face], :12] = 0.0
@@ -241,7 +241,7 @@ class SphereProblem(OnSpheres):
         blocks = []
         # Pairs that are to exist.
         row = np.flatnonzero(residuals["intersection"])
-        columns, values = conforming.square_gradient(
+        columns, values = triangle_pairs.square_gradient(
             pairs.centre[row], triangles[row], centres, radii
         )
         # The derivative of what is softened.

@@ -14,7 +14,7 @@ from ..mesh.geometry import limited
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 from ..mesh.spheres import near_pairs
 from ..remesh.operations import fold_cosines
-from .losses import triangle_pairs as conforming
+from .losses import triangle_pairs
 
 FIRST_RADIUS = 0.8
 """In edge lengths."""
@@ -74,8 +74,8 @@ class Spheres:
     def face_room(self) -> Floats:
         return np.asarray(self.room[self.triangles].min(axis=1))
 
-    def pairs(self) -> conforming.Pairs:
-        return conforming.radical_pairs(self.centres, self.radii, self.triangles)
+    def pairs(self) -> triangle_pairs.Pairs:
+        return triangle_pairs.radical_pairs(self.centres, self.radii, self.triangles)
 
     def generators(self) -> tuple[Floats, Floats]:
         """Generators ``(2F, 3)``, outer ones first, and delta^2 ``(F,)``.
@@ -162,7 +162,7 @@ def intrusion_gain(mesh: Sized, table: EdgeTable) -> Floats:
         for corners, sphere in ((first, second[2]), (second, first[2])):
             triangles = np.stack(corners, 1)
             floor = (SMALLEST * mesh.length[triangles].mean(axis=1)) ** 2
-            points = conforming.radical_pairs(mesh.vertices, radii, triangles).points(floor)
+            points = triangle_pairs.radical_pairs(mesh.vertices, radii, triangles).points(floor)
             arm = points - np.concatenate([mesh.vertices[sphere]] * 2)
             power = np.einsum("ij,ij->i", arm, arm) - np.concatenate([radii[sphere]] * 2) ** 2
             worst = np.maximum(worst, -power.reshape(2, -1).min(axis=0))

@@ -16,7 +16,6 @@ pair, and no open cell crosses the surface; by 4 and 5 there is no other interfa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from ..mesh.geometry import face_frames, fan_triangles
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 from ..mesh.queries.parity import RayParity
+from ..mesh.spheres import held, without
 from ..mesh.topology import bad_edges
 
 TAU = 1e-8
@@ -36,8 +36,6 @@ REACH = 0.5
 """Distance beyond a sphere, in units of h0, within which generators are measured."""
 NEAR = 0.2
 """The distance of the first search, in median radii."""
-AT_ONCE = 20_000
-"""Number of spheres that are searched at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -126,28 +124,19 @@ def _other_powers(
 ) -> Floats:
     """Powers of generators in or near a sphere that is not one of their face's spheres: all of them
     up to some bound above MARGIN, the least of them among these if it is below REACH^2."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(generators)
     incident = (face_generators[trained.corner_faces] * trained.vertex_count).T
     own = np.unique((incident + trained.face_vertices).reshape(-1))
     used = np.unique(trained.face_vertices)
+    centres, squares = trained.vertices[used], radii[used] ** 2
     # A ball of radius REACH holds a great many generators where the edges are short, so the search
     # starts near the spheres.
     reach = min(REACH, max(2 * MARGIN**0.5, NEAR * float(np.median(radii[used]))))
     while True:
         powers = []
-        for spheres in np.array_split(used, 1 + len(used) // AT_ONCE):
-            found = tree.query_ball_point(
-                trained.vertices[spheres], np.sqrt(radii[spheres] ** 2 + reach**2), workers=threads
-            )
-            count = np.fromiter((len(row) for row in found), np.int64, len(found))
-            point = np.fromiter(chain.from_iterable(found), np.int64, int(count.sum()))
-            sphere = np.repeat(spheres, count)
-            apart = ~np.isin(point * trained.vertex_count + sphere, own)
-            point, sphere = point[apart], sphere[apart]
-            squared = ((generators[point] - trained.vertices[sphere]) ** 2).sum(axis=1)
-            powers.append(squared - radii[sphere] ** 2)
+        for point, ball in held(generators, centres, np.sqrt(squares + reach**2), threads):
+            apart = without(point * trained.vertex_count + used[ball], own)
+            point, ball = point[apart], ball[apart]
+            powers.append(((generators[point] - centres[ball]) ** 2).sum(axis=1) - squares[ball])
         others = np.concatenate(powers)
         if len(others) or reach >= REACH:
             return others

@@ -117,6 +117,8 @@ class FieldSource(Source):
         )
         return Field(formula, box, 0.5 * float(np.linalg.norm(box[1] - box[0])))
 
+    needs_torch = True
+
     @property
     def options(self) -> frozenset[str]:
         return frozenset() if self.path is None else frozenset({"level"})

@@ -16,6 +16,7 @@ from ...mesh.creases import Chain
 from ...mesh.model_frame import ModelFrame
 from ...mesh.polygons import Ints, PolygonMesh
 from ...mesh.topology import bad_edges, edges
+from ...progress import Progress
 from ..creases.sharp_edges import of_triangles
 from .repair_child import repaired
 from .sheet import thickened
@@ -39,6 +40,9 @@ class MeshSource(TriangleSource):
         self.loaded = load(path)
         self.repair = False
         self.thickness = 0.0
+        self.given_thickness: float | None = None
+        self.voxels = 1
+        self.allow_soup = False
 
     @cached_property
     def polygons(self) -> PolygonMesh:
@@ -96,14 +100,19 @@ class MeshSource(TriangleSource):
         return frozenset({"repair", "weld", "shells", "thickness"})
 
     def configure(self, values: Mapping[str, Any]) -> None:
-        """Raises InputError for a mesh that is not the surface of a solid."""
         self.repair, self.reach = values["repair"], values["weld"]
         self.hollow = values["shells"] == "alternate"
-        thickness = values["thickness"]
-        if thickness is None and not values["allow_poor_input"]:
+        self.given_thickness, self.voxels = values["thickness"], values["n_init"]
+        self.allow_soup = values["allow_poor_input"]
+
+    def prepare(self, progress: Progress) -> None:
+        """Find out whether it is a solid or a sheet. Raises InputError for a mesh that is not the
+        surface of a solid."""
+        thickness = self.given_thickness
+        if thickness is None and not self.allow_soup:
             self.refuse_soup()
         if thickness is None and (self.flat or self.sureness < SHEET):
-            thickness = float(np.ptp(self.bounding_box(), axis=0).max()) / values["n_init"]
+            thickness = float(np.ptp(self.bounding_box(), axis=0).max()) / self.voxels
         self.take_as_sheet(thickness or 0.0)
 
     def extra_memory(self) -> float:

@@ -21,9 +21,7 @@ from ...progress import Progress
 from ...render.cameras import Camera
 from ...render.views import COVERED, Views
 from ..mesh.triangle_source import TriangleSource
-from . import alignment as view_alignment
-from . import files as view_files
-from . import pictures as view_pictures
+from . import alignment, files, pictures
 from .fit import fit, levels
 from .hull import VisualHull, signed_distances
 from .overlap import overlaps
@@ -45,11 +43,11 @@ class ViewSource(TriangleSource):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.name = view_files.name_of(path)
-        self.found = view_files.read(path)
+        self.name = files.name_of(path)
+        self.found = files.read(path)
         self.votes = 0
         self.reading = PLAIN
-        self.fit: view_alignment.Fit | None = None
+        self.fit: alignment.Fit | None = None
         self._restored = False
         self.tick = lambda: None
         self._agreement: Floats | None = None
@@ -86,9 +84,9 @@ class ViewSource(TriangleSource):
     @cached_property
     def views(self) -> Views:
         """The masks and normals, opened, orthographic ones made to agree. Raises InputError."""
-        views = view_pictures.load(self.found, self.threads, self.reading)
+        views = pictures.load(self.found, self.threads, self.reading)
         if not self._restored:
-            self.fit, said = view_alignment.fit(views, self.names, self.votes, self.threads)
+            self.fit, said = alignment.fit(views, self.names, self.votes, self.threads)
             views = replace(views, notes=(*views.notes, *said))
         return self.fit.applied(views) if self.fit is not None else views
 
@@ -188,7 +186,7 @@ class ViewSource(TriangleSource):
             background, bool(stored["source/openings"]), bool(stored["source/inverted"])
         )
         if "source/scale" in stored:
-            self.fit = view_alignment.Fit(stored["source/scale"], stored["source/shift"])
+            self.fit = alignment.Fit(stored["source/scale"], stored["source/shift"])
 
     def creases(self, surface: TrueSurface, frame: ModelFrame, angle: float) -> list[Chain]:
         """None: a surface fitted to views does not show them."""
