@@ -99,8 +99,7 @@ class Camera:
         return replace(self, matrix=matrix, translation=moved / spacing)
 
     def shrunk(self, factor: int) -> Camera:
-        """The camera of pictures in which blocks of ``factor`` by ``factor`` pixels are one
-        pixel."""
+        """The camera of pictures whose pixels are blocks of ``factor`` by ``factor`` of these."""
         matrix = self.matrix.copy()
         matrix[:2] /= factor
         return replace(
@@ -120,7 +119,7 @@ def rigid(rotation: Floats) -> bool:
 def looking(
     position: Floats, at: Floats, up: Floats, matrix: Floats, size: int, orthographic: bool
 ) -> Camera:
-    """A camera at ``position`` with its axis through ``at``. Its pictures have ``size`` by ``size``
+    """A camera at ``position`` that looks at ``at``. Its pictures have ``size`` by ``size``
     pixels."""
     forward = (at - position) / np.linalg.norm(at - position)
     right = np.cross(forward, up)

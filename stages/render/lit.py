@@ -34,8 +34,7 @@ def traced() -> bool:
 def rasterised(
     vertices: NDArray[np.float32], triangles: Ints, light: tuple[float, float, float] | None
 ) -> bytes:
-    """A PNG that is made quickly, without Mitsuba and without shadows. Arguments are as in
-    ``png``."""
+    """A PNG that is made quickly, without Mitsuba or shadows. Arguments are as in ``png``."""
     from . import image_file, raster
 
     view = raster.view("z", AZIMUTH, ELEVATION)

@@ -13,8 +13,7 @@ FIELD_OF_VIEW = 30.0
 
 
 def scene(asked: dict[str, Any]) -> dict[str, Any]:
-    """Mitsuba's scene: a plastic object on a table, with a warm light in it or under a bright
-    sky."""
+    """Mitsuba's scene: a plastic object on a table, with a warm light in it or a bright sky."""
     import mitsuba as mi
 
     low, high = np.array(asked["low"]), np.array(asked["high"])

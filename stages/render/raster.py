@@ -17,8 +17,7 @@ LINE = np.array([0.16, 0.17, 0.22])
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic camera that looks along ``-direction``, with ``up`` upward in its
-    pictures."""
+    """An orthographic camera that looks along ``-direction``; ``up`` is upward in its pictures."""
 
     direction: Floats
     up: Floats

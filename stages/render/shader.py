@@ -59,8 +59,7 @@ def shade(
     normal: torch.Tensor,
     direction: torch.Tensor,
 ) -> torch.Tensor:
-    """RGB ``(N, 3)`` from 0 to 1 at points with unit normals and unit ray directions, ``(N, 3)``
-    each."""
+    """RGB ``(N, 3)`` from 0 to 1. Normals and ray directions are unit vectors ``(N, 3)``."""
 
     def layer(name: str, x: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.linear(x, weights[f"{name}.weight"], weights[f"{name}.bias"])
@@ -85,8 +84,7 @@ class Shader:
         return torch.from_numpy(((points - self.centre) / self.size).astype(np.float32))
 
     def __call__(self, points: Floats, normals: Floats, directions: Floats) -> Floats:
-        """RGB ``(N, 3)`` from 0 to 1; the arguments are ``(N, 3)`` each, the last two unit
-        vectors."""
+        """RGB ``(N, 3)`` from 0 to 1. Normals and ray directions are unit vectors ``(N, 3)``."""
         parts = []
         with torch.no_grad():
             for start in range(0, len(points), AT_ONCE):
