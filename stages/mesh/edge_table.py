@@ -80,17 +80,17 @@ class Sized:
     triangles: Ints
     length: Floats
     carried: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Further values ``(V, k)`` of the vertices, which the operations interpolate for new
-    vertices."""
+    """Further values ``(V, k)`` of the vertices, which the operations
+    interpolate for new vertices."""
 
     rank: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     """The rank ``(V,)`` of each vertex: 0 if it is free, 1 on a crease, 2 at a corner."""
     creases: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     """The edges on creases ``(K, 3)``: their two ends, and the number of their chain."""
     metric: Callable[[Floats], Floats] | None = None
-    """A function that gives the metric ``(N, 3, 3)`` at points ``(N, 3)``. The length of an edge
-    that is compared with the target length is measured in this metric; None is the Euclidean
-    one."""
+    """A function that gives the metric ``(N, 3, 3)`` at points ``(N, 3)``. The length
+    of an edge that is compared with the target length is measured in this metric; None
+    is the Euclidean one."""
 
     def __post_init__(self) -> None:
         if len(self.rank) != len(self.vertices):
@@ -104,8 +104,8 @@ class Sized:
         return np.isin(np.sort(ends, axis=1) @ span, np.sort(self.creases[:, :2], axis=1) @ span)
 
     def chains(self) -> Ints:
-        """The chain ``(V,)`` of each vertex on a crease, -1 for others. A corner has one of its
-        chains."""
+        """The chain ``(V,)`` of each vertex on a crease, -1 for others. A corner
+        has one of its chains."""
         number = np.full(len(self.vertices), -1)
         number[self.creases[:, :2]] = self.creases[:, 2:]
         return number

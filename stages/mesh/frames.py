@@ -67,8 +67,8 @@ class Frames:
 
 
 def face_frames(vertices: torch.Tensor, connectivity: Connectivity) -> Frames:
-    """The frames of all faces with ``vertices (V, 3)``, as ``geometry.face_frames`` defines
-    them."""
+    """The frames of all faces with ``vertices (V, 3)``, as
+    ``geometry.face_frames`` defines them."""
     tiny = torch.finfo(vertices.dtype).tiny
     here = vertices.index_select(0, connectivity.corners)
     following = vertices.index_select(0, connectivity.following)

@@ -112,8 +112,8 @@ def sample_triangles(
 
 
 def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
-    """Unit vertex normals ``(V, 3)``: the area-weighted mean of the triangles' normals (appendix
-    B.2)."""
+    """Unit vertex normals ``(V, 3)``: the area-weighted mean of the triangles'
+    normals (appendix B.2)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     total = np.zeros_like(vertices)

@@ -83,8 +83,8 @@ class PolygonMesh:
         )
 
     def without_unused_vertices(self) -> PolygonMesh:
-        """The same faces without the vertices that no face uses. The order of the others is
-        kept."""
+        """The same faces without the vertices that no face uses. The order
+        of the others is kept."""
         used = np.zeros(self.vertex_count, dtype=bool)
         used[self.face_vertices] = True
         if used.all():

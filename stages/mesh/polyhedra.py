@@ -61,8 +61,8 @@ class PolyhedralMesh:
         return cls(faces, arrays["face_owner"], neighbour, arrays["cell_generator"], count)
 
     def select_cells(self, keep: NDArray[np.bool_]) -> PolyhedralMesh:
-        """The cells for which ``keep (C,)`` is true. Their faces towards other cells become
-        boundary."""
+        """The cells for which ``keep (C,)`` is true. Their faces towards other
+        cells become boundary."""
         owner, beyond = keep[self.owner], (self.neighbour >= 0) & keep[self.neighbour]
         number = np.append(np.cumsum(keep) - 1, -1)
         number[:-1][~keep] = -1

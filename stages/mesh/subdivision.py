@@ -36,8 +36,8 @@ def subdivided(
 
 
 def _divided(triangles: Ints, middle: Ints) -> Ints:
-    """The triangles, divided at ``middle (T, 3)``: the new vertex on the edge after each corner, or
-    -1."""
+    """The triangles, divided at ``middle (T, 3)``: the new vertex on the edge
+    after each corner, or -1."""
     count = (middle >= 0).sum(axis=1)
     # Corners are rotated: a single middle comes first; of two, the edge without one comes last.
     turn = np.where(count == 1, (middle >= 0).argmax(axis=1), (middle < 0).argmax(axis=1) + 1)

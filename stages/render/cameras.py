@@ -55,8 +55,8 @@ class Camera:
         return np.column_stack([pixel, nearness])
 
     def jacobian(self, points: Floats) -> Floats:
-        """Derivatives ``(N, 2, 3)`` of the pixel coordinates by the coordinates of
-        ``points (N, 3)``."""
+        """Derivatives ``(N, 2, 3)`` of the pixel coordinates by the coordinates
+        of ``points (N, 3)``."""
         at = self.placed(points)
         flat = np.zeros((len(points), 2, 3))
         flat[:, 0, 0] = flat[:, 1, 1] = 1.0
@@ -119,8 +119,8 @@ def rigid(rotation: Floats) -> bool:
 def looking(
     position: Floats, at: Floats, up: Floats, matrix: Floats, size: int, orthographic: bool
 ) -> Camera:
-    """A camera at ``position`` that looks at ``at``. Its pictures have ``size`` by ``size``
-    pixels."""
+    """A camera at ``position`` that looks at ``at``. Its pictures have
+    ``size`` by ``size`` pixels."""
     forward = (at - position) / np.linalg.norm(at - position)
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:  # a camera that looks along ``up`` needs another vector

@@ -14,8 +14,8 @@ MOST_ENTRIES = 20_000_000
 
 
 def _rotation() -> Floats:
-    """A fixed rotation without special angles, so that no edge of a designed shape is parallel to a
-    ray."""
+    """A fixed rotation without special angles, so that no edge of a designed shape
+    is parallel to a ray."""
     quaternion = np.array([0.7310585786, 0.2401873452, -0.5179328641, 0.3732457815])
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array(
@@ -70,8 +70,8 @@ class RayParity:
         return np.clip(place, 0, self.bins - 1).astype(np.int64)
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
-        """Whether the ray from each of ``points (N, 3)`` meets the surface an odd number of times,
-        ``(N,)``."""
+        """Whether the ray from each of ``points (N, 3)`` meets the surface an odd
+        number of times, ``(N,)``."""
         return np.asarray(self._crossings(points)[0] % 2 == 1)
 
     def winding(self, points: Floats) -> Ints:

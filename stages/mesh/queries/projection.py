@@ -114,8 +114,8 @@ class ClosestPoint:
 
 
 def closest_on_triangles(points: Floats, corners: Floats) -> Floats:
-    """The point ``(N, 3)`` of each triangle ``corners (N, 3, 3)`` that is closest to
-    ``points (N, 3)``."""
+    """The point ``(N, 3)`` of each triangle ``corners (N, 3, 3)`` that is closest
+    to ``points (N, 3)``."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.einsum("ij,ij->i", normal, normal)

@@ -26,14 +26,14 @@ OPPOSITE = -0.5
 BESIDE = 1e-6
 """Distance from the surface at which a ray starts, in units of h0."""
 ASIDE, TURNED = 0.8, 0.6
-"""A part is round if, ASIDE thicknesses beside a point, the cosine of the two normals is less than
-TURNED."""
+"""A part is round if, ASIDE thicknesses beside a point, the cosine of the two
+normals is less than TURNED."""
 APEX = (0.5, 1.6)
 """Two sheets form a wedge at a crease if the distance to the crease, divided by the distance to the
 line where the sheets would meet, is in this range."""
 RIM = 2.2
-"""Within this distance of a crease, in thicknesses, sheets form a wedge even if they are not
-parallel."""
+"""Within this distance of a crease, in thicknesses, sheets form a wedge even if
+they are not parallel."""
 
 
 def across(

@@ -1,5 +1,5 @@
-"""A tree of bounding boxes that finds closest points of triangles, and the first triangle on
-rays."""
+"""A tree of bounding boxes that finds closest points of triangles, and the
+first triangle on rays."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ GRAZED = 1e-9
 """A ray still meets a triangle if it passes beside it by this share of its size. So no ray passes
 between two triangles."""
 NEEDLE = 1e-14
-"""A triangle whose sides form an angle with a smaller squared sine is treated as its three
-sides."""
+"""A triangle whose sides form an angle with a smaller squared sine is
+treated as its three sides."""
 CHUNK = 4096
 """Number of points that a thread processes at a time. The results do not depend on it."""
 
@@ -175,8 +175,8 @@ def _search(
     corners: Floats, boxes: Floats, leaves: int, points: Floats,
     square: Floats, number: Ints, place: Floats,
 ) -> None:  # fmt: skip
-    """Write squared distance, triangle and closest point of each of ``points`` to the last three
-    arrays."""
+    """Write squared distance, triangle and closest point of each of ``points`` to
+    the last three arrays."""
     count = len(corners)
     waiting, far = np.empty(DEPTH, np.int64), np.empty(DEPTH)
     found = np.empty(3)
