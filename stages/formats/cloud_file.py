@@ -1,7 +1,7 @@
 """Reads point clouds. The suffix of the file decides the format.
 
 Text, PLY, NPY, NPZ and the PTS files of Expe are read here; other formats have modules of their
-own. **To add a format**, write a function that reads a path and returns a ``Table``, and add it to
+own. To add a format, write a function that reads a path and returns a ``Table``, and add it to
 READERS under its suffix. ``kind_of`` in ``inputs/resolve.py`` then recognises it as a point cloud.
 """
 

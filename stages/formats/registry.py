@@ -1,6 +1,6 @@
 """The file formats of polyhedral meshes, by name.
 
-**To add a format**, write a module with a function that encodes a mesh, and add a ``Format`` here.
+To add a format, write a module with a function that encodes a mesh, and add a ``Format`` here.
 """
 
 from __future__ import annotations
