@@ -60,7 +60,7 @@ class Visible:
 
 
 def rasterize(vertices: Floats, triangles: Ints, camera: View, width: int, height: int) -> Visible:
-    """What each pixel centre sees when the whole object is fitted into the picture.
+    """The triangle that each pixel centre sees when the whole object is fitted into the picture.
 
     Triangles that face away are skipped, because the surfaces here are closed and face outward.
     """

@@ -1,4 +1,4 @@
-"""How much of the Voronoi interface of the generators agrees with the trained surface."""
+"""Agreement between the Voronoi interface of the generators and the trained surface."""
 
 from __future__ import annotations
 

@@ -39,10 +39,10 @@ class BoxTree:
         while LEAF * self.leaves < len(low):
             self.leaves *= 2
         self.order: Ints = np.arange(len(low))
-        """The boxes from leaf to leaf, ``(T,)``."""
+        """The indices of the boxes, leaf by leaf, ``(T,)``."""
         _arrange(self.order, low + high, self.leaves)
         self.boxes = np.empty((2 * self.leaves, 2, 3))
-        """Of each node: the root is 1, the children of k are 2 k and 2 k + 1."""
+        """The box of each node. The root is 1, and the children of k are 2 k and 2 k + 1."""
         _enclose(self.boxes, low[self.order], high[self.order], self.leaves)
 
 
