@@ -25,8 +25,8 @@ TRIALS, SHORTER = 5, 0.3
 """Number of times that a step is tried, and the factor by which it is shortened where residuals
 grow. The last shortening is to 0."""
 WORSE = 0.1, 0.5, 0.5
-"""Largest growth of the sum of squares at a place: the first number, plus the second times the sum
-before, but at most the third. It may grow because its neighbours may gain more."""
+"""Largest growth of the sum of squares at a place: the first number, plus the smaller of the third
+and the second times the sum before. It may grow because its neighbours may gain more."""
 TERMS = ("intersection", "exclusion", "shape", "smooth")
 """The names of the losses that are recorded."""
 
