@@ -8,7 +8,7 @@ from importlib import resources
 from typing import Any
 
 VERSION = 1
-"""Major version of the manifests; part of every schema's ``$id``."""
+"""Major version of the manifests. It is part of every schema's ``$id``."""
 
 
 def identifier(name: str) -> str:
@@ -18,7 +18,8 @@ def identifier(name: str) -> str:
 
 @cache
 def load(name: str) -> dict[str, Any]:
-    """The schema of one stage's manifest, or ``common``. Raises ValueError for unknown names."""
+    """The schema of one stage's manifest, or ``common``. Raises ValueError if
+    there is no such schema."""
     file = resources.files(__name__).joinpath(f"{name}.json")
     if not name.replace("-", "").isalpha() or not file.is_file():
         raise ValueError(f"there is no manifest schema called {name!r}")
@@ -36,7 +37,7 @@ def _validator(name: str) -> Any:
 
 
 def validate(manifest: Any) -> None:
-    """Check a manifest against the schema it names. Raises ValueError with the first fault."""
+    """Check a manifest against the schema that it names. Raises ValueError with the first fault."""
     named = manifest.get("schema") if isinstance(manifest, dict) else None
     if not isinstance(named, str):
         raise ValueError("is no vorolight manifest")

@@ -1,4 +1,5 @@
-"""Write the manifest schemas from the stages' Params: ``python -m vorolight.schemas.build``."""
+"""Writes the schemas of the manifests from the stages' Params:
+``python -m vorolight.schemas.build``."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ def stage_schema(name: str) -> dict[str, Any]:
     from vorolight.stages.engine import registry
     from vorolight.stages.engine.params import params_schema
 
-    # What the others are made of, classify alone says.
+    # Only the manifest of classify must name the files of the input.
     inputs = {"inputs": {"minItems": 1}} if name == "classify" else {}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

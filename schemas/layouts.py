@@ -1,7 +1,7 @@
-"""The HDF5 files of a run: which arrays, of what shape and type, in whose coordinates.
+"""The layouts of the HDF5 files of a run: the arrays with their shapes, types and coordinates.
 
-A dimension is a number, or a letter that stands for one size throughout a file; ``X+1`` is one
-more than X. Positions and lengths are in the input's unit unless a line says otherwise.
+A dimension is a number, or a letter that stands for the same size throughout a file; ``X+1`` is one
+more than X. Positions and lengths are in the unit of the input unless a line says otherwise.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from typing import Any
 import numpy as np
 
 HUGE = 1e100
-"""More than any length or coordinate whose powers are to be numbers."""
+"""Upper bound of lengths and coordinates, so that their powers are finite."""
 TINY = 1e-300
-"""Less than any length; what must be positive is no less."""
+"""Lower bound of lengths and other values that must be positive."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """One array: its shape, the kind of its values, and what it holds."""
+    """The layout of one array: its shape, the type of its values, and their meaning."""
 
     shape: tuple[str | int, ...]
     kind: str
-    """f: float64, i: integer, b: bool."""
+    """f for float64, i for integers, b for bool."""
     meaning: str
     optional: bool = False
     into: str | None = None
-    """Of indices: the letter of the size of what they point into."""
+    """For indices: the letter of the size of the array to which they refer."""
     least: float | None = None
-    """What no value is less than; 0 for indices."""
+    """The smallest value that is allowed; 0 for indices."""
     most: float | None = None
     undefined: bool = False
-    """Whether nan may stand where there is no value."""
+    """Whether nan is allowed where there is no value."""
 
 
 def _polygons(prefix: str, letter: str, meaning: str) -> dict[str, Layout]:
@@ -186,8 +186,8 @@ LAYOUTS: dict[str, dict[str, Layout]] = {
 def check_shapes(
     layout: Mapping[str, Layout], shapes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, int]:
-    """The sizes that the letters stand for. Raises ValueError unless the arrays are all there and
-    their ``shapes`` fit."""
+    """The sizes for the letters. Raises ValueError if an array is missing or
+    its shape does not fit."""
     sizes: dict[str, int] = {}
     for name, wanted in layout.items():
         if name not in shapes:
@@ -208,9 +208,10 @@ def check_shapes(
 
 
 def check(stage: str, arrays: Mapping[str, Any]) -> None:
-    """Raise ValueError unless ``arrays`` are laid out as ``stage`` says; more arrays may be there.
+    """Raise ValueError if ``arrays`` do not have the layout of ``stage``. Further arrays are
+    allowed.
 
-    Indices are checked to be in range, and numbers to be finite and no less than they may be.
+    Indices must be in range. Numbers must be finite and not below their smallest value.
     """
     layout = LAYOUTS[stage]
     found = {name: np.asarray(arrays[name]) for name in layout if name in arrays}

@@ -284,7 +284,7 @@ def test_axes_of_an_nrrd_in_another_order(tmp_path: Path) -> None:
     ("name", "content", "said"),
     [
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n"
-         b"data file: gone.raw\n\n", "its data are in gone.raw, which is not there"),
+         b"data file: gone.raw\n\n", "its data are in gone.raw, which does not exist"),
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 9999 9999 9999\n"
          b"encoding: gzip\n\nabc", "more than"),
         ("a.nrrd", b"NRRD0004\ntype: float\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\nabc",

@@ -1,4 +1,4 @@
-"""The only writer of files: a file is either unchanged, or new and complete."""
+"""The only writer of files. A file is either unchanged, or new and complete."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from . import processes
 
 _TEMPORARY = re.compile(r"^\.(?:.+\.tmp|lock(?:\.dead)?)\.(\d{1,10})$")
 STAGING = ".new"
-"""Suffix of a folder that collects the files of a stage before they count."""
+"""Suffix of the folder that collects the files of a stage until all are complete."""
 
 
 def write(path: Path, data: bytes) -> None:
-    """Replace ``path`` by ``data``: temporary file in the same folder, fsync, rename, fsync.
+    """Replace ``path`` by ``data``: write a temporary file, sync it, rename it, and sync the
+    folder.
 
-    Raises UsageError when the folder cannot be written to.
+    Raises UsageError if the folder cannot be written to.
     """
     temporary = path.with_name(f".{path.name}.tmp.{os.getpid()}")
     try:
@@ -68,10 +69,10 @@ def move(source: Path, target: Path) -> None:
 
 
 def touch(path: Path, later_than: Iterable[Path] = ()) -> None:
-    """Set a file's modification time to now, or, if the clock was set back, to that of the newest
-    of ``later_than``.
+    """Set a file's modification time to now, or to that of the newest of ``later_than`` if this is
+    later.
 
-    Raises UsageError if that is not allowed.
+    It is later if the clock was set back. Raises UsageError if that is not allowed.
     """
     try:
         now = max([time.time_ns(), *(other.stat().st_mtime_ns for other in later_than)])

@@ -1,4 +1,4 @@
-"""Checkpoints of a training: whole files with a fingerprint, of which the last two are kept."""
+"""Checkpoints of a training: files with a fingerprint, of which the last two are kept."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from . import atomic, hdf5, requeue
 
 KEPT = 2
 COST = 50.0
-"""Time between two checkpoints divided by the time that writing one takes: 2 % of the time are
-lost."""
+"""Smallest time between two checkpoints, divided by the time that writing one takes, so that 2
+% of the time is lost."""
 
 
 class Checkpoints:
-    """The checkpoints of one stage run; those of other parameters or inputs are ignored."""
+    """The checkpoints of one run of a stage. Those of other parameters or inputs are ignored."""
 
     def __init__(
         self,
@@ -76,10 +76,10 @@ class Checkpoints:
         return None
 
     def clear(self) -> None:
-        """Remove all checkpoints of the stage, also of other parameters, once its result is
-        written."""
+        """Remove all checkpoints of the stage, including those of other parameters, after
+        its result is written."""
         shutil.rmtree(self.folder.parent, ignore_errors=True)
-        with contextlib.suppress(OSError):  # other stages may have checkpoints there
+        with contextlib.suppress(OSError):  # the folder may have checkpoints of other stages
             self.folder.parent.parent.rmdir()
 
 

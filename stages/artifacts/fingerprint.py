@@ -1,4 +1,4 @@
-"""Hashes that decide whether a result still belongs to its inputs and options."""
+"""Hashes by which a result is recognised as that of its inputs and options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def of_bytes(data: bytes) -> str:
 
 
 def of_file(path: Path) -> str:
-    """sha256 of a file. Raises InputError when it cannot be read."""
+    """The sha256 of a file. Raises InputError if it cannot be read."""
     if path.exists() and not path.is_file():  # reading a pipe would never end
         raise InputError(f"{path}: is not a file; check the path")
     try:
@@ -26,6 +26,6 @@ def of_file(path: Path) -> str:
 
 
 def of_json(value: Any) -> str:
-    """sha256 of the canonical JSON of ``value``: sorted keys, shortest exact numbers."""
+    """The sha256 of the canonical JSON of ``value``: sorted keys, shortest exact numbers."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return of_bytes(text.encode("utf-8"))

@@ -17,21 +17,21 @@ from ..errors import ArtifactError
 Arrays = dict[str, np.ndarray[Any, Any]]
 
 LARGEST = 4_000_000_000
-"""Largest size of the arrays of a file in bytes, unpacked."""
+"""Largest total size of the arrays in a file, unpacked, in bytes."""
 MOST, DEEPEST = 1000, 3
 """Largest number of groups and arrays in a file, and of nested groups."""
 FILTERS = (1, 2)
-"""HDF5's own deflate and shuffle; other filters would be loaded from wherever the system finds
-them."""
+"""The filters of HDF5 that are allowed: deflate and shuffle. HDF5 would load others as
+libraries of the system."""
 
 
 def as_array(value: Any) -> np.ndarray[Any, Any]:
-    """``value`` in the form in which a file returns it: a C-ordered array."""
+    """``value`` as it is returned after reading: a C-ordered array."""
     return np.array(value, order="C")
 
 
 def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str, Any]) -> bytes:
-    """The bytes of an HDF5 file; the same arrays give the same bytes.
+    """An HDF5 file of ``arrays``. The same arrays give the same bytes.
 
     With ``stage`` the arrays are first checked against its layout.
     """
@@ -53,7 +53,7 @@ def encode(stage: str | None, arrays: Mapping[str, Any], attributes: Mapping[str
 
 
 def read(path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
-    """As ``decode``, for a file. Raises ArtifactError also if it cannot be read."""
+    """The same as ``decode``, for a file. Raises ArtifactError also if it cannot be read."""
     if not path.is_file():
         raise ArtifactError(f"{path}: missing; run the stage that writes it")
     try:
@@ -66,8 +66,8 @@ def read(path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
 def decode(raw: bytes, path: Path, stage: str | None) -> tuple[Arrays, dict[str, Any]]:
     """The arrays and attributes of an HDF5 file: those of the layout of ``stage``, or all of them.
 
-    Raises ArtifactError, which names ``path``, if they are damaged or have another layout, and
-    before anything is unpacked if they would be too large.
+    Raises ArtifactError, which names ``path``, if they are damaged or have another layout. If they
+    would be too large, it is raised before anything is unpacked.
     """
     try:
         arrays, attributes = _unpacked(raw, None if stage is None else layouts.LAYOUTS[stage])

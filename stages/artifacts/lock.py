@@ -18,8 +18,8 @@ from . import atomic, processes
 NAME = ".lock"
 _HELD: set[Path] = set()
 JOB = ("SLURM_CLUSTER_NAME", "SLURM_JOB_ID")
-"""Environment variables that name a cluster job. Such a job never runs twice at once, and may start
-again on another node."""
+"""Environment variables that name a job of a cluster. Such a job never runs twice at once, and may
+be started again on another node."""
 
 
 @contextmanager
@@ -56,7 +56,7 @@ def locked(folder: Path) -> Iterator[list[str]]:
 
 
 def _put(whole: Path, path: Path) -> None:
-    """Make ``path`` the file ``whole``. Raises FileExistsError when there is one."""
+    """Create ``path`` with the content of ``whole``. Raises FileExistsError if it exists."""
     try:
         os.link(whole, path)
     except FileExistsError:
@@ -64,7 +64,7 @@ def _put(whole: Path, path: Path) -> None:
     except OSError as error:
         if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-        with open(path, "x") as stream:  # a file system without hard links
+        with open(path, "x") as stream:  # this file system has no hard links
             stream.write(whole.read_text())
 
 
@@ -96,8 +96,8 @@ def holder(folder: Path) -> dict[str, Any] | None:
 
 
 def _content(path: Path) -> bytes:
-    """The content of a lock. Raises Locked if it is not a file, since reading a pipe would never
-    end."""
+    """The content of a lock. Raises Locked if it is not a file, since reading a
+    pipe would never end."""
     if not stat.S_ISREG(path.lstat().st_mode):
         raise Locked(f"{path}: is not a lock file of vorolight; delete it")
     return path.read_bytes()
@@ -116,8 +116,7 @@ def _take_over(path: Path) -> list[str]:
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise Locked(f"{path}: is not a lock file of vorolight; delete it") from None
     ours = _holder()
-    # A job that was started again is the only one of its number, so the process that had the lock
-    # is dead.
+    # Only one job has a number. If it was started again, the process with the lock is dead.
     again = job is not None and job == ours["job"] and (host, pid) != (ours["host"], ours["pid"])
     if host != ours["host"] and not again:
         raise Locked(
@@ -134,7 +133,7 @@ def _take_over(path: Path) -> list[str]:
         return []  # another process was faster
     taken = _content(aside)
     if taken != text:
-        # Between our look and our move a living process took the lock: return it.
+        # Another process took the lock since we examined it, so that it gets it back.
         os.replace(aside, path)
         return []
     atomic.discard(aside)

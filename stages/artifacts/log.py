@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 FOLDER = "logs"
 LARGEST = 4_000_000
-"""Size in bytes from which on a log is renamed to ``.1`` when the stage starts again."""
+"""Size in bytes above which a log is renamed to ``.1`` when the stage starts again."""
 EVERY = 10.0
-"""Seconds after which progress is logged again, even without a further tenth."""
+"""Number of seconds after which progress is logged even if it grew by less than a tenth."""
 
 
 class StageLog:
@@ -36,7 +36,7 @@ class StageLog:
                 os.replace(self.path, self.path.with_suffix(".jsonl.1"))
             torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
             self.file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-            if torn:  # its writer was killed
+            if torn:  # the last writer was killed within a line
                 os.write(self.file, b"\n")
         except OSError as error:
             self._give_up(error)
@@ -92,8 +92,8 @@ class StageLog:
 
 
 def read(folder: Path, stem: str) -> list[dict[str, Any]]:
-    """The events of a stage's log, oldest first; an incomplete line of a killed process is left
-    out."""
+    """The events of a stage's log, oldest first, without the incomplete
+    line of a killed process."""
     events = []
     path = folder / FOLDER / f"{stem}.jsonl"
     if path.is_file():

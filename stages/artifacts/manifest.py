@@ -17,11 +17,11 @@ from . import fingerprint
 Manifest = dict[str, Any]
 
 LARGEST = 16_000_000
-"""Largest size of a manifest in bytes; a large one has fifty thousand."""
+"""Largest size of a manifest in bytes. A large one has about fifty thousand."""
 
 
 def clean_numbers(value: Any) -> Any:
-    """JSON values from numpy scalars and dataclass dictionaries; NaN and infinity become null."""
+    """``value`` as JSON values: NumPy scalars become numbers, NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(key): clean_numbers(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -41,7 +41,8 @@ def encode(manifest: Manifest) -> bytes:
 
 
 def _sealed(manifest: Manifest) -> Manifest:
-    """The manifest with two checksums: of what is the same in every run, and of the rest."""
+    """The manifest with two checksums: one of what is the same in every
+    run, and one of the rest."""
     kept = {key: value for key, value in manifest.items() if key not in ("checksum", "volatile")}
     volatile = {key: value for key, value in manifest["volatile"].items() if key != "checksum"}
     return {
@@ -52,8 +53,8 @@ def _sealed(manifest: Manifest) -> Manifest:
 
 
 def read(path: Path) -> Manifest:
-    """A manifest from disk. Raises ArtifactError if it is missing, damaged, or not one of
-    vorolight."""
+    """The manifest at ``path``. Raises ArtifactError if it is missing, damaged, or
+    not one of vorolight."""
     try:
         if path.stat().st_size > LARGEST or not leads_inside(path):
             raise ArtifactError(
@@ -71,7 +72,7 @@ def read(path: Path) -> Manifest:
             raise ValueError("was changed after it was written")
         if not all(entry["path"].startswith(f"{path.stem}.") for entry in manifest["outputs"]):
             raise ValueError("belongs to another stage")
-    # A deep or strange value may upset the validator itself.
+    # Deeply nested or strange values may make the validator itself fail.
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         said = " ".join(str(error).split())
         raise ArtifactError(f"{path}: {said}; delete it and run its stage again") from error
@@ -89,9 +90,9 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def foreign(where: str) -> Iterator[None]:
-    """A context for reading figures of a manifest that another program or person may have changed.
+    """A context in which figures of a manifest are read that somebody else may have changed.
 
-    Raises ArtifactError in place of errors over missing figures.
+    Errors about missing figures become ArtifactError.
     """
     try:
         yield
@@ -103,9 +104,9 @@ def foreign(where: str) -> Iterator[None]:
 
 
 def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | None:
-    """Why the outputs are not those that the manifest describes, or None.
+    """Why the files are not those that the manifest describes, or None.
 
-    Sizes and modification times are compared; with ``verify``, the contents.
+    Sizes and modification times are compared, and with ``verify`` also the contents.
     """
     for output in manifest["outputs"]:
         path = folder / output["path"]
@@ -124,6 +125,6 @@ def outputs_changed(folder: Path, manifest: Manifest, verify: bool) -> str | Non
 
 
 def leads_inside(path: Path) -> bool:
-    """Whether a path is a regular file inside the run folder, not a folder, a device or a link out
-    of it."""
+    """Whether a path is a regular file in the run folder, and not a folder, a device
+    or a link to elsewhere."""
     return path.is_file() and path.resolve().parent == path.parent.resolve()

@@ -1,5 +1,4 @@
-"""Counter-based random numbers: a generator for (seed, stage, purpose, counter), without any state
-to save."""
+"""Random numbers from (seed, stage, purpose, counter), so that no state has to be stored."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def generator(seed: int, stage: str, purpose: str, counter: int = 0) -> np.random.Generator:
-    """A generator; the same four values give the same stream on every machine."""
+    """A random generator. The same four values give the same numbers on every machine."""
     import numpy as np
 
     digest = hashlib.sha256(f"{stage}/{purpose}".encode()).digest()

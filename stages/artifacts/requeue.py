@@ -1,4 +1,4 @@
-"""Stopping at the next checkpoint, which a cluster requests before a time limit."""
+"""Stops at the next checkpoint, as a cluster requests before its time limit."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ _asked = False
 
 
 def ask() -> None:
-    """Make the next checkpoint, or the start of the next stage, end the process."""
+    """End the process at the next checkpoint, or at the start of the next stage."""
     global _asked
     _asked = True
 
 
 def asked() -> bool:
+    """Whether ``ask`` was called."""
     return _asked
 
 

@@ -21,7 +21,7 @@ SUFFIX = ".vorolight"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Owns every path of a run."""
+    """The folder of a run, and all paths in it."""
 
     path: Path
 
@@ -29,10 +29,12 @@ class RunFolder:
     def locate(
         cls, run: Path | None, input_stem: str | None, base: Path | None = None
     ) -> RunFolder:
-        """The run folder for the given ``--run`` and INPUT (design: its default name).
+        """The run folder for the options ``--run`` and INPUT. Its default name comes from the
+        input.
 
-        With neither: the current folder if it is one, else the only ``*.vorolight`` in it.
-        Raises ArtifactError when there is none, UsageError when there are several.
+        Without both, it is the current folder if that is a run folder, else the only
+        ``*.vorolight`` in it. Raises ArtifactError if there is none, and UsageError if there are
+        several.
         """
         here = Path() if base is None else base
         if run is not None:
@@ -61,9 +63,9 @@ class RunFolder:
         return manifest.read(path) if path.is_file() else None
 
     def output(self, stem: str, suffix: str) -> bytes:
-        """The bytes of a file of a finished stage, as the stage wrote them.
+        """The bytes of a file of a finished stage, as the stage wrote it.
 
-        Raises ArtifactError if they are missing or were changed.
+        Raises ArtifactError if it is missing or was changed.
         """
         path, stored = self.file(stem, suffix), self.manifest(stem)
         if stored is None:
@@ -90,7 +92,8 @@ class RunFolder:
     def arrays(self, stem: str, layout: str) -> Arrays:
         """The arrays of a finished stage.
 
-        Raises ArtifactError as ``output``, and if they do not have the layout ``layout``.
+        Raises ArtifactError as ``output`` does, and if the arrays do not have the layout
+        ``layout``.
         """
         from .hdf5 import decode
 
@@ -99,7 +102,7 @@ class RunFolder:
     def checkpoints(
         self, stem: str, fingerprint: str, tell: Callable[..., None] = lambda event, **facts: None
     ) -> Checkpoints:
-        """The checkpoints of one run of a stage; ``tell`` is called with every event."""
+        """The checkpoints of one run of a stage. ``tell`` is called with every event."""
         from .checkpoints import Checkpoints
 
         return Checkpoints(self.path / "checkpoints" / stem, fingerprint, tell)

@@ -1,1 +1,1 @@
-"""Published methods to compare with, written anew from their descriptions."""
+"""Published methods for comparison, written anew from their descriptions."""

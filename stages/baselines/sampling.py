@@ -1,4 +1,5 @@
-"""Even samples of a surface: of many at random, those that are not too near to one before."""
+"""Evenly spaced samples of a surface: from many random samples, those too close
+to others are removed."""
 
 from __future__ import annotations
 
@@ -10,22 +11,24 @@ from ..compiled import compiled
 from ..mesh.polygons import Floats
 
 DRAWN = 3
-"""How many samples are drawn for each that is wanted."""
+"""Number of random samples for each sample of the result."""
 
 
 @compiled
 def _drop(pairs: Any, kept: Any) -> None:
-    """Of each of ``pairs (P, 2)``, sorted, the second goes unless the first is gone already."""
+    """For each of the sorted ``pairs (P, 2)``, remove the second point unless
+    the first was removed."""
     for pair in range(len(pairs)):
         if kept[pairs[pair, 0]]:
             kept[pairs[pair, 1]] = False
 
 
 def even(points: Floats, count: int, threads: int) -> Floats:
-    """At most ``count`` of ``points (N, 3)``, which are uniform by area, with a gap between them.
+    """At most ``count`` of ``points (N, 3)`` with a smallest distance between them.
 
-    The gap is the r with one point in every r^2: the mean squared distance from a point to the
-    nearest other one is r^2 / pi, whatever the area. Points are taken in the order given.
+    The points must be uniform by area. The distance is the r for which there is one point in each
+    area r^2: for random points, the mean squared distance to the nearest other point is r^2 / pi,
+    whatever the area. Points are taken in the given order.
     """
     from scipy.spatial import cKDTree
 

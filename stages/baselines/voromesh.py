@@ -1,7 +1,8 @@
-"""VoroMesh (Maruani et al., ICCV 2023): generators of a Voronoi diagram moved by the VoroLoss.
+"""VoroMesh (Maruani et al., ICCV 2023), which moves the generators of a Voronoi diagram by
+VoroLoss.
 
-Everything here is in the method's own frame: the centre of the shape's box is the origin and its
-longest side is 1.8, so that the shape fills nine tenths of the cube [-1, 1]^3.
+All coordinates are in the frame of that method. The centre of the shape's box is the origin, and
+its longest side is 1.8, so that the shape fills nine tenths of the cube [-1, 1]^3.
 """
 
 from __future__ import annotations
@@ -21,20 +22,21 @@ from ..voronoi.diagram.delaunay import delaunay
 from ..voronoi.diagram.vertices import circumcentres
 
 FILLED = 0.9
-"""Share of the cube's edge that the shape's longest side takes."""
+"""The longest side of the shape, divided by the edge of the cube."""
 MILESTONES = (0.2, 0.375, 0.5, 0.625)
 """Shares of the epochs after which the learning rate is halved: 80, 150, 200 and 250 of 400."""
 CORNERS = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(-1, 3)
-"""Corners of the cube, generators outside: they bound the cells of all others."""
+"""The corners of the cube, which are outside generators that bound all other cells."""
 JITTER = 1e-7
-"""Standard deviation that takes generators that never moved off their lattice."""
+"""Standard deviation of shifts that move unchanged generators away from their lattice."""
 PARTS = 8
-"""Into how many parts the samples go. A number of its own: sums do not depend on the threads."""
+"""Number of parts into which the samples are divided. It is fixed, so that sums do not depend on
+the number of threads."""
 
 
 @dataclass(frozen=True)
 class CubeFrame:
-    """``input = centre + scale * cube``."""
+    """The map between coordinates: ``input = centre + scale * cube``."""
 
     centre: Floats
     scale: float
@@ -53,8 +55,10 @@ class CubeFrame:
 
 
 def first_generators(samples: Floats, grid: int) -> Floats:
-    """The nodes of a grid of ``grid``^3 over the cube around the ``samples (S, 3)``: the eight
-    corners of every box between nodes that holds a sample, ``(N, 3)``."""
+    """The first generators ``(N, 3)``: nodes of a grid with ``grid``^3 nodes over the cube.
+
+    They are the eight corners of each box between nodes that contains one of ``samples (S, 3)``.
+    """
     size = (grid - 1,) * 3
     boxes = np.stack(np.unravel_index(np.unique(box_of(samples, grid)), size), axis=1)
     corners = boxes[:, None] + np.array(list(np.ndindex(2, 2, 2)))
@@ -64,7 +68,8 @@ def first_generators(samples: Floats, grid: int) -> Floats:
 
 
 def box_of(points: Floats, grid: int) -> Ints:
-    """Number of the box between grid nodes that each of ``points (N, 3)`` is in, or nearest to."""
+    """The number of the grid box ``(N,)`` that contains each of
+    ``points (N, 3)``, or is nearest to it."""
     index = np.floor(0.5 * (points + 1.0) * (grid - 1)).astype(np.int64)
     index = np.clip(index, 0, grid - 2)
     return np.asarray(np.ravel_multi_index(tuple(index.T), (grid - 1,) * 3))
@@ -72,13 +77,14 @@ def box_of(points: Floats, grid: int) -> Ints:
 
 @compiled
 def _loss_and_gradient(samples: Any, places: Any, starts: Any, size: int, gradient: Any) -> float:
-    """Sum over ``samples`` of the squared distance to the wall of their cell, and its gradient.
+    """The sum over ``samples`` of the squared distance to the boundary of their cell. Adds its
+    gradient.
 
     ``places (N, 3)`` are the generators in the order of their boxes, ``starts (size^3 + 1)`` the
-    first of each box. With generator i nearest to x, the bisector with j is at the distance
-    s_j = (d_j^2 - d_i^2) / (2 |g_j - g_i|), d being distances from x; the wall is the least of
-    them over all j. Since |g_j - g_i| <= d_i + d_j, s_j >= (d_j - d_i) / 2: what is farther than
-    d_i + 2 s cannot be the least, and the search ends.
+    first generator of each box. Let i be the generator nearest to the sample x, and d_j the
+    distances from x. The bisector of i and j has the distance s_j = (d_j^2 - d_i^2) / (2 |g_j -
+    g_i|), and the boundary is at the least s_j. Since |g_j - g_i| <= d_i + d_j, s_j >= (d_j - d_i)
+    / 2. So generators further away than d_i + 2 s cannot give less than s, and the search ends.
     """
     edge = 2.0 / size
     found = np.empty(len(places), np.int64)
@@ -89,7 +95,7 @@ def _loss_and_gradient(samples: Any, places: Any, starts: Any, size: int, gradie
         cx = min(max(int((px + 1.0) / edge), 0), size - 1)
         cy = min(max(int((py + 1.0) / edge), 0), size - 1)
         cz = min(max(int((pz + 1.0) / edge), 0), size - 1)
-        # How far the point is from the sides of its box.
+        # The distances of the point from the sides of its box.
         rx, ry, rz = px + 1.0 - edge * cx, py + 1.0 - edge * cy, pz + 1.0 - edge * cz
         margin = min(min(min(rx, edge - rx), min(ry, edge - ry)), min(rz, edge - rz))
         i = j = -1
@@ -100,7 +106,7 @@ def _loss_and_gradient(samples: Any, places: Any, starts: Any, size: int, gradie
             for x in range(max(cx - ring, 0), min(cx + ring, size - 1) + 1):
                 for y in range(max(cy - ring, 0), min(cy + ring, size - 1) + 1):
                     row = (x * size + y) * size
-                    # Boxes above one another follow one another.
+                    # Boxes along z follow each other.
                     for k in range(starts[row + bottom], starts[row + top + 1]):
                         dx, dy, dz = places[k, 0] - px, places[k, 1] - py, places[k, 2] - pz
                         square = dx * dx + dy * dy + dz * dz
@@ -124,7 +130,7 @@ def _loss_and_gradient(samples: Any, places: Any, starts: Any, size: int, gradie
                         limit = (reach + 2.0 * best) ** 2
             if j >= 0 and margin + ring * edge >= reach + 2.0 * best:
                 break
-        if j < 0:  # a single generator has no walls
+        if j < 0:  # the cell of a single generator has no boundary
             continue
         total += best * best
         length = 0.0
@@ -132,7 +138,8 @@ def _loss_and_gradient(samples: Any, places: Any, starts: Any, size: int, gradie
             length += (places[j, axis] - places[i, axis]) ** 2
         length = np.sqrt(length)
         for axis in range(3):
-            # ds/dg_j = ((g_j - x) - s u) / |g_j - g_i| and the like, u along g_j - g_i.
+            # ds/dg_j = ((g_j - x) - s u) / |g_j - g_i| with the unit vector u along g_j - g_i; the
+            # same with changed signs for g_i.
             along = best * (places[j, axis] - places[i, axis]) / length
             factor = 2.0 * best / length
             gradient[j, axis] += factor * (places[j, axis] - samples[sample, axis] - along)
@@ -143,12 +150,12 @@ def _loss_and_gradient(samples: Any, places: Any, starts: Any, size: int, gradie
 def voro_loss(
     generators: Floats, samples: Floats, grid: int, pool: ThreadPoolExecutor
 ) -> tuple[float, Floats]:
-    """The VoroLoss (equation 3 of the paper) and its gradient ``(N, 3)``.
+    """The VoroLoss (equation 3 of VoroMesh's paper) and its gradient ``(N, 3)``.
 
-    The mean over ``samples (S, 3)`` of the squared distance to the boundary of the Voronoi cell of
-    ``generators (N, 3)`` that the sample is in. No diagram is built: that distance is the least
-    one to a bisector of the nearest generator and another. All in the cube [-1, 1]^3, whose
-    ``grid - 1``^3 boxes serve to find what is near.
+    It is the mean over ``samples (S, 3)`` of the squared distance to the boundary of the Voronoi
+    cell that contains the sample. No diagram is computed: that distance is the least one to a
+    bisector of the nearest generator and another one. Neighbours are found in a grid of
+    ``grid - 1``^3 boxes over the cube [-1, 1]^3.
     """
     size = grid - 1
     box = box_of(generators, grid)
@@ -184,20 +191,23 @@ class _VoroLoss(torch.autograd.Function):
 def differentiable(
     generators: torch.Tensor, samples: Floats, grid: int, pool: ThreadPoolExecutor
 ) -> torch.Tensor:
-    """``voro_loss`` as torch knows losses."""
+    """``voro_loss`` as a function of torch tensors with a gradient."""
     apply: Any = _VoroLoss.apply
     result: torch.Tensor = apply(generators, lambda places: voro_loss(places, samples, grid, pool))
     return result
 
 
 def bounded(generators: Floats, random: np.random.Generator) -> Floats:
-    """``generators (N, 3)`` in general position, and after them the corners of the cube."""
+    """``generators (N, 3)``, moved to general position, followed by the corners of the cube."""
     return np.concatenate([generators + JITTER * random.standard_normal(generators.shape), CORNERS])
 
 
 def cell_centres(generators: Floats) -> Floats:
-    """The mean ``(N, 3)`` of the Voronoi vertices of each cell, where its label is asked for: a
-    generator may lie across the surface from most of a long cell. Infinity is left out."""
+    """The mean ``(N, 3)`` of the finite Voronoi vertices of each cell, at which its label is
+    determined.
+
+    A generator itself may be on the other side of the surface than most of a long cell.
+    """
     diagram = delaunay(generators)
     vertices, _ = circumcentres(generators, diagram.corners)
     owner = diagram.corners.ravel()
@@ -210,7 +220,8 @@ def cell_centres(generators: Floats) -> Floats:
 
 
 def labels(generators: Floats, inside: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    """Which cells of ``generators (N, 3)`` are inside; the cube's corners, the last, are not."""
+    """Whether each cell of ``generators (N, 3)`` is inside; the last ones, the
+    cube's corners, are not."""
     found = inside(cell_centres(generators)).copy()
     found[-len(CORNERS) :] = False
     return found

@@ -1,1 +1,1 @@
-"""From a surface to an object to print."""
+"""Objects to print, made from a surface or from cells."""

@@ -1,4 +1,5 @@
-"""Make one printable mesh of many bodies: a union, one part, exact in 32-bit coordinates."""
+"""The union of many bodies as one printable mesh, with coordinates that 32
+bits represent exactly."""
 
 from __future__ import annotations
 
@@ -14,9 +15,10 @@ from ..mesh.polygons import Ints
 Floats32 = NDArray[np.float32]
 
 GRID = 2.0**-12
-"""Grid of the coordinates in mm, which every format can represent.
+"""Grid of the coordinates in mm.
 
-32 bits hold its multiples up to 4 m. lib3mf rounds decimals slightly, and GLB is in metres.
+Every file format can represent its multiples: 32 bits hold them up to 4 m. lib3mf rounds decimals
+slightly, and GLB is in metres.
 """
 AT_ONCE = 200
 """Number of bodies that are united in one operation."""
@@ -33,7 +35,7 @@ class Part:
     dropped_parts: int
     dropped_volume: float
     filled_volume: float
-    """Volume of closed voids that were filled."""
+    """Volume of the closed voids that were filled, in mm^3."""
 
 
 def largest(body: Any) -> Part:
@@ -46,7 +48,7 @@ def largest(body: Any) -> Part:
             f"the union of the tubes failed ({body.status().name}); change --tube-diameter or "
             "--merge a little"
         )
-    # Closed voids are parts of negative volume: they are filled.
+    # A closed void is a part of negative volume. Leaving it out fills the void.
     pieces = [(part, part.volume()) for part in body.decompose()]
     parts = [part for part, _ in sorted(pieces, key=lambda piece: -piece[1]) if part.volume() > 0]
     mesh = parts[0].to_mesh64()
@@ -70,8 +72,8 @@ def handles(body: Any) -> int:
 
 
 def union(bodies: list[Any]) -> Any:
-    """The union of ``bodies``, neighbours first, so that early unions are small and hidden surface
-    is removed early."""
+    """The union of ``bodies``, neighbours first, so that early unions are small and hidden
+    surface is removed early."""
     from manifold3d import Manifold, OpType
 
     boxes = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
@@ -85,7 +87,7 @@ def union(bodies: list[Any]) -> Any:
             ordered = which[np.argsort(middle[which, axis], kind="stable")]
             half = len(which) // 2
             body = united(ordered[:half]) + united(ordered[half:])
-        # Without this the operation would only be noted, and all of them done at once in the end.
+        # manifold3d delays operations; asking for the status makes it compute this one now.
         body.status()
         return body
 

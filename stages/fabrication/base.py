@@ -1,5 +1,7 @@
-"""The place of a lamp's light, and what the lamp stands on. In millimetres; the floor is at z =
-0."""
+"""The place of a lamp's light, and the base on which the lamp stands.
+
+Lengths are in millimetres; the floor is at z = 0.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,12 @@ from .lights import Cavity, Room
 FOOT = 2.4
 """Thickness of the foot in mm."""
 MARGIN = 3.0
-"""How far a pedestal extends beyond the shape, in mm."""
+"""Distance by which a pedestal extends beyond the shape, in mm."""
 TILT = 8.0
 """Smallest angle in degrees to which the lamp may be tilted before it falls."""
 CELL = 1.0
-"""Grid in mm on which room for the cavity is searched; it is coarser for objects of more than
-MOST_CELLS."""
+"""Edge in mm of the grid cells on which a place for the cavity is searched. It is larger if the
+object has more than MOST_CELLS along a side."""
 MOST_CELLS = 400
 SLICES = 16
 SEGMENTS = 96
@@ -36,12 +38,12 @@ class Place:
     x: float
     y: float
     slack: float
-    """How much the radius of all rooms could grow while they stay inside; negative if they do not
-    fit."""
+    """Length by which the radius of all rooms could grow while they stay inside the shape;
+    negative if they do not fit."""
 
 
 class Inside:
-    """The inside of a surface on horizontal slices, for several searches."""
+    """The inside of a surface on horizontal slices. It is computed once for several searches."""
 
     def __init__(self, surface: PolygonMesh) -> None:
         self._vertices, self._triangles, _ = fan_triangles(surface)
@@ -49,19 +51,21 @@ class Inside:
         self.cell = max(CELL, float(size[:2].max()) / MOST_CELLS)
 
     def distances(self, low: float, high: float) -> tuple[Floats, Floats]:
-        """Smallest distance ``(X, Y)`` of the middle of each cell from the outside, over all slices
-        from ``low`` to ``high``, and the grid's origin."""
+        """The distance ``(X, Y)`` of each grid cell from the outside, and the grid's origin.
+
+        It is the smallest one over all slices from ``low`` to ``high``.
+        """
         from scipy.ndimage import distance_transform_edt
 
         z = np.linspace(low, high, SLICES)
-        z[0] += 1e-3 * (high - low)  # not in the plane in which the shape was cut flat
+        z[0] += 1e-3 * (high - low)  # beside the plane in which the shape was cut flat
         found = list(layers.sections(self._vertices, self._triangles, z, self.cell))
         inside = np.logical_and.reduce([mask for _, mask, _ in found])
-        # The middle of an outside cell is one cell beyond the last known inside.
+        # Distances are to the centre of an outside cell, one cell beyond the last inside one.
         return np.asarray(distance_transform_edt(inside) * self.cell - self.cell), found[0][2]
 
     def place(self, rooms: list[Room]) -> Place:
-        """The axis around which ``rooms`` have the most slack."""
+        """The axis about which ``rooms`` have the most slack."""
         found = [self.distances(room.low, room.high) for room in rooms]
         slack = np.minimum.reduce(
             [distance - room.radius for (distance, _), room in zip(found, rooms, strict=True)]
@@ -72,7 +76,7 @@ class Inside:
 
 
 def cylinder(room: Room, place: Place) -> Any:
-    """A body that contains the whole cylinder: its facets touch the cylinder from outside."""
+    """A body that contains the whole cylinder, since its facets touch the cylinder from outside."""
     from manifold3d import Manifold
 
     radius = room.radius / np.cos(np.pi / SEGMENTS)
@@ -103,8 +107,8 @@ def channel_direction(outline: Floats, place: Place) -> float:
 
 
 def clear_of(solid: Any, height: float, place: Place) -> float:
-    """Distance from the axis to the nearest side of ``solid`` at that height; inf if there is
-    none."""
+    """The distance from the axis to the nearest side of ``solid`` at ``height``;
+    infinite if there is none."""
     outlines = [np.asarray(outline) for outline in solid.slice(height).to_polygons()]
     return min((float(np.linalg.norm(_nearest(o, place))) for o in outlines), default=np.inf)
 
@@ -118,9 +122,9 @@ def channel(cavity: Cavity, place: Place, azimuth: float, reach: float, width: f
 
 
 def cup_bodies(cavity: Cavity, place: Place, azimuth: float) -> tuple[Any, Any]:
-    """The cup to add and the cavity to remove; with a lid also the slots for its lugs.
+    """The cup to add and the cavity to remove. With a lid, the cavity has slots for its lugs.
 
-    ``azimuth``, in radians, is that of the cable; the lugs lie across it.
+    ``azimuth`` is the direction of the cable, in radians. The lugs are across it.
     """
     from manifold3d import Manifold
 
@@ -145,7 +149,7 @@ def cup_bodies(cavity: Cavity, place: Place, azimuth: float) -> tuple[Any, Any]:
 
 
 LUG_SPAN, RUN = 24.0, 40.0
-"""Angle of a lug, and by how much the lid is turned to lock it, in degrees."""
+"""Angle of a lug, and the angle by which the lid is turned to lock it, in degrees."""
 
 
 def _sector(inner: float, outer: float, start: float, stop: float, low: float, high: float) -> Any:
@@ -159,8 +163,10 @@ def _sector(inner: float, outer: float, start: float, stop: float, low: float, h
 
 
 def _slots(cavity: Cavity) -> Any:
-    """Two slots in the wall: up from the floor, then sideways. Angles are from the middle of a
-    locked lug."""
+    """Two slots in the wall, which lead up from the floor, then sideways.
+
+    Angles are measured from the middle of a locked lug.
+    """
     inner, outer = cavity.radius - 1.0, cavity.radius + lights.LUG + lights.PLAY
     top = lights.LID + lights.PLAY
     half = 0.5 * LUG_SPAN + 2.0
@@ -175,7 +181,7 @@ def _slots(cavity: Cavity) -> Any:
 
 
 def lid_body(cavity: Cavity, place: Place, cable: Any | None, azimuth: float) -> Any:
-    """The lid where it sits when locked: a disc with two lugs and a groove to turn it by."""
+    """The lid in its locked position: a disc with two lugs, and a groove for turning it."""
     from manifold3d import Manifold
 
     radius = cavity.radius - lights.PLAY
@@ -193,16 +199,18 @@ def lid_body(cavity: Cavity, place: Place, cable: Any | None, azimuth: float) ->
 
 @dataclass(frozen=True)
 class Balance:
-    """How a body stands: its centre of mass and the hull of the parts that touch the floor."""
+    """How stably a body stands: its centre of mass, and how far it can be tilted."""
 
     centre: tuple[float, float, float]
     tilt_degrees: float
-    """Angle in degrees to which it can be tilted before it falls; negative if it falls by
-    itself."""
+    """The angle to which the body can be tilted before it falls; negative if it falls by itself."""
 
 
 def balance(centre: Floats, footprint: Floats) -> Balance:
-    """``footprint (N, 2)``: the convex hull, counterclockwise, of what touches the floor."""
+    """The balance of a body with this ``centre (3,)`` of mass.
+
+    ``footprint (N, 2)`` is the convex hull of the parts that touch the floor, counterclockwise.
+    """
     if len(footprint) < 3:
         return Balance((float(centre[0]), float(centre[1]), float(centre[2])), -90.0)
     along = np.roll(footprint, -1, axis=0) - footprint
@@ -215,18 +223,17 @@ def balance(centre: Floats, footprint: Floats) -> Balance:
 
 
 def footprint(body: Any) -> Floats:
-    """The convex hull of the parts of ``body`` that touch the floor, ``(N, 2)``,
-    counterclockwise."""
+    """The convex hull of the parts of ``body`` that touch the floor,
+    ``(N, 2)``, counterclockwise."""
     hull = body.slice(0.05).hull()
     polygons = hull.to_polygons()
     return np.asarray(polygons[0], dtype=np.float64) if len(polygons) else np.zeros((0, 2))
 
 
 def foot(solid: Any, centre: Floats) -> tuple[Any, bool]:
-    """The lowest slab of the shape; widened if needed so that it supports ``centre``, the centre of
-    mass.
+    """The lowest slab of the shape, and whether it was widened.
 
-    The second value says whether it was widened.
+    It is widened if it would not support ``centre``, the centre of mass.
     """
     slab = solid.trim_by_plane((0, 0, 1), 0.0).trim_by_plane((0, 0, -1), -FOOT)
     outline = footprint(slab)

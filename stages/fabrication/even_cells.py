@@ -13,12 +13,13 @@ from ..mesh.queries.projection import ClosestPoint
 from ..remesh.remeshing import divide, remesh, thin_out
 
 SHEET = 0.15
-"""Distance in cell sizes within which an opposite sheet is still told apart by its normals."""
+"""Distance, in cell sizes, that counts like a difference of 1 between normals when opposite
+sheets are told apart."""
 SAMPLES = 10_000
 
 
 class _Itself:
-    """A surface to which new triangles are fitted, in units of the cells."""
+    """The surface to which the new triangles are fitted, in units of the cell size."""
 
     def __init__(self, vertices: Floats, triangles: NDArray[np.int64], threads: int) -> None:
         self._closest = ClosestPoint(vertices, triangles, SHEET, threads)
@@ -31,10 +32,10 @@ class _Itself:
 
 
 def even_cells(surface: PolygonMesh, size: float, threads: int) -> PolygonMesh:
-    """Polygons about ``size`` across on ``surface``, three at every corner: the dual of triangles
-    with edges of that length, in the unit of the surface.
+    """Polygons of about ``size`` on ``surface``, three of which meet at every corner.
 
-    Raises ValueError where the surface is not closed and manifold.
+    They are the dual of triangles with edges of ``size``, in the unit of the surface. Raises
+    ValueError if the surface is not closed.
     """
     vertices, triangles, _ = fan_triangles(surface)
     middle = vertices.mean(axis=0)

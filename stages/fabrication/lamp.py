@@ -15,8 +15,8 @@ from .base import Place
 from .lights import Cavity, Light, Room
 
 TRIMS = (0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
-"""Shares of the height that are cut off for a flat base; the first one at which the light fits is
-used."""
+"""Shares of the height that are tried as a flat cut at the bottom. The first at which
+the light fits is used."""
 LEAST_DIAMETER = 8.0
 """A light narrower than this, in mm, does not count."""
 LEAST_WINDOW = 4.0
@@ -25,17 +25,18 @@ LEAST_WINDOW = 4.0
 
 @dataclass(frozen=True)
 class Request:
-    """The requested placement, in mm."""
+    """The placement that the user asks for. Lengths are in mm."""
 
     up: str
     height: float
     overhang: float
-    """Height that tubes add at the top, and at the bottom if nothing is trimmed: the largest tube
-    radius."""
+    """Height that tubes add at the top, and at the bottom if nothing is cut off: the
+    largest radius of a tube."""
     trim: float | None
-    """Share of the shape's height cut off for a flat base; None: as little as the light allows."""
+    """Share of the shape's height that is cut off for a flat base. None is the least
+    that the light allows."""
     base: str
-    """auto, footprint, pedestal or none."""
+    """One of auto, footprint, pedestal and none."""
     light: Light | None
     preset: str
     clearance: float
@@ -49,12 +50,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Stance:
-    """The placement of the object."""
+    """The placement of the object. Lengths are in mm."""
 
     mm_from_input: Floats
     trim: float
     lift: float
-    """Height of the pedestal; 0 without one."""
+    """Height of the pedestal; 0 if there is none."""
     base: str
     cavity: Cavity | None
     place: Place | None
@@ -67,10 +68,10 @@ class Stance:
 
 
 def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
-    """Place the object as ``_placed`` does.
+    """The placement that ``_placed`` finds, if the printer has room for it.
 
-    Raises UsageError if no light fits, with the largest one that would, and for an object that is
-    larger than the printer.
+    Raises UsageError if no light fits, naming the largest that would, and if the object is larger
+    than the printer.
     """
     stance = _placed(polygons, surface, asked)
     size = np.ptp(stance.apply(polygons).vertices, axis=0)[:2] + 2 * asked.overhang
@@ -84,10 +85,10 @@ def stand(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance
 
 
 def _placed(polygons: PolygonMesh, surface: PolygonMesh, asked: Request) -> Stance:
-    """Place an object that is drawn from ``polygons`` and whose inside is that of ``surface``.
+    """The placement of an object with edges along ``polygons``, and the inside of ``surface``.
 
-    The cavity moves to the place with the most room, over positions and shares that are cut off.
-    Exact bodies then prove that its rooms lie inside the shape.
+    The cavity goes to the place with the most room, over all positions and shares that may be cut
+    off. Differences of bodies then check exactly that its rooms lie inside the shape.
     """
 
     trims = TRIMS if asked.trim is None else (asked.trim,)
@@ -115,8 +116,8 @@ def _on_pedestal(
     polygons: PolygonMesh, surface: PolygonMesh, asked: Request, trim: float, cavity: Cavity,
     widest: float,
 ) -> Stance:  # fmt: skip
-    """The placement with the light in a pedestal, whose window is so small that the shape stands
-    around it."""
+    """The placement with the light in a pedestal. Its window is so small that the
+    shape stands around it."""
     room = max(widest, 0.0) if np.isfinite(widest) else None
     while True:
         lift = cavity.top
@@ -165,8 +166,8 @@ def _no_room(asked: Request, diameter: float) -> str:
 
 
 def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stance | None, float]:
-    """The placement with its cavity inside the shape, if it fits, and the largest diameter that
-    fits."""
+    """The placement with the cavity inside the shape, or None, and the
+    largest diameter that fits."""
     placed = stance.apply(surface)
     inside = base.Inside(placed)
     solid = solid_of(placed).trim_by_plane((0, 0, 1), 0.0)
@@ -187,7 +188,7 @@ def _inside(stance: Stance, surface: PolygonMesh, asked: Request) -> tuple[Stanc
 
 
 def centre_of_edges(polygons: PolygonMesh, low: float) -> Floats:
-    """Centre of mass ``(3,)`` of equally thick tubes along all edges, of the part above ``low``."""
+    """The centre of mass ``(3,)`` of tubes of one thickness along all edges above ``low``."""
     from ..mesh.topology import edges
 
     ends = polygons.vertices[edges(polygons)]
@@ -207,17 +208,18 @@ def mm_from_input(
     vertices: Floats, up: str, height: float, trim: float, overhang: float, lift: float = 0.0,
     taper: float = 1.0,
 ) -> Floats:  # fmt: skip
-    """The 4 x 4 map that turns ``up`` to z and gives the printed object its height.
+    """The 4 x 4 matrix that turns ``up`` to z and scales the object to its height in mm.
 
-    ``trim`` is the share of the shape's height cut off for a flat base, which comes to z = 0, or
-    to ``lift``; ``overhang`` is what tubes add on top (and below, when nothing is trimmed).
+    ``trim`` is the share of the shape's height that is cut off for a flat base. The cut comes to z
+    = ``lift``. ``overhang`` is the height that tubes add at the top, and at the bottom if nothing
+    is cut off.
     """
     axis = "xyz".index(up[-1])
     sign = -1.0 if up.startswith("-") else 1.0
     turn = np.zeros((3, 3))
     turn[2, axis] = sign
     turn[0, (axis + 1) % 3] = 1.0
-    turn[1, (axis + 2) % 3] = sign  # keeps the map a rotation
+    turn[1, (axis + 2) % 3] = sign  # makes the matrix a rotation, not a reflection
     placed = vertices @ turn.T
     low, high = placed.min(axis=0), placed.max(axis=0)
     free = height - overhang * (taper if trim > 0 else 1 + taper)
@@ -243,7 +245,7 @@ class Stand:
 
 
 def bodies(stance: Stance, surface: PolygonMesh, polygons: PolygonMesh, cable: float) -> Stand:
-    """The bodies of the base; ``surface`` and ``polygons`` are in mm."""
+    """The bodies of the base. ``surface`` and ``polygons`` are in mm."""
     if stance.base == "none":
         return Stand([], [], None, False, 0.0)
     solid = solid_of(surface)

@@ -1,5 +1,4 @@
-"""The lattice of an object: tubes along edges, and faces that are closed by plates or by the
-tubes."""
+"""The lattice of an object: tubes along edges, and the faces that plates or tubes close."""
 
 from __future__ import annotations
 
@@ -18,9 +17,10 @@ if TYPE_CHECKING:
     from ..progress import Progress
 
 CELL_TO_TUBE, LEAST_NOZZLES, MOST_NOZZLES = 0.6, 2.5, 8.0
-"""Default tube diameter divided by the radius of the faces, and its limits in nozzle widths."""
+"""The default diameter of tubes, divided by the radius of the faces, and its
+limits in nozzle widths."""
 MOST_SEALED = 0.5
-"""Share of the faces; tubes that close more of them are refused."""
+"""Tubes are refused if they close a larger share of the faces."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,15 @@ class Shape:
     polygons: PolygonMesh
     """The polygons whose edges the tubes follow."""
     surface: PolygonMesh
-    """A closed surface; its inside is that of the object."""
+    """A closed surface that bounds the inside of the object."""
     drawn: str
     volume: Mapping[str, Any] | None
-    """Arrays of stage volume, if cells are asked for."""
+    """The arrays of the volume stage, if cells are asked for."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """How tubes and plates are made, in mm."""
+    """The dimensions of tubes and plates, in mm."""
 
     edges: str
     diameter: float | None
@@ -53,7 +53,7 @@ class Design:
     nozzle: float
     layer: float
     check: Callable[[float], None]
-    """Raises UsageError for a diameter that does not fit the rest."""
+    """A function that raises UsageError if a diameter does not fit the other dimensions."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,18 @@ class Lattice:
     body: Any
     graph: tubes.TubeGraph
     radii: Floats
-    """Radii at the nodes ``(K,)``."""
+    """The radii of the tubes at the nodes, ``(K,)``."""
     gaps: Floats
-    """Radius of the opening that tubes leave in each face ``(F,)``."""
+    """The radius of the opening that tubes leave in each face, ``(F,)``."""
     sealed: Ints
-    """Faces whose opening is narrower than the nozzle: they are closed by panes."""
+    """The faces whose opening is narrower than the nozzle. Panes close them."""
     chosen: Ints
-    """Faces that became plates."""
+    """The faces that became plates."""
     thickness: float
-    """Of the panes."""
+    """Thickness of the panes, in mm."""
     touching: int
-    """Difference of the genus from that of the graph minus the closed faces."""
+    """Number of places where tubes touch: the genus of the body, minus that of the graph
+    without the closed faces."""
     genus: int
 
     @property
@@ -82,7 +83,7 @@ class Lattice:
 
     @property
     def open_area(self) -> Floats:
-        """Open share of each face ``(F,)``."""
+        """The open share of each face, ``(F,)``."""
         wide = np.maximum(self.gaps, 0)
         share = (wide / np.maximum(wide + self.radii.mean(), 1e-300)) ** 2
         share[self.panes] = 0
@@ -115,13 +116,13 @@ def build(
 
 
 def enlargement(design: Design) -> float:
-    """Factor on the radius of a tube with this number of sides."""
+    """Factor by which the radius of a tube with this number of sides is enlarged."""
     return tubes.compensation(tubes.ball(design.sides))
 
 
 def followed(shape: Shape, design: Design) -> tuple[PolygonMesh, Ints]:
-    """The mesh along whose edges tubes go, in the input's coordinates, and which faces of the
-    surface's polygons or of the volume its faces are."""
+    """The mesh along whose edges tubes go, and the face of the surface or volume
+    of each of its faces."""
     if design.edges == "surface":
         return shape.polygons, np.arange(shape.polygons.face_count)
     assert shape.volume is not None
@@ -149,8 +150,8 @@ def _graph(shape: Shape, stance: Stance, design: Design, diameter: float) -> tub
 
 
 def default_diameter(mesh: PolygonMesh, design: Design) -> float:
-    """Tube diameter in mm, from the radius of the faces of ``mesh``, but at least what plates or a
-    taper need."""
+    """The tube diameter in mm that suits the faces of ``mesh``, but at least what
+    plates or a taper need."""
     radius = float(np.median(plates.openings(mesh, np.zeros(mesh.vertex_count))))
     end = max(2 * design.nozzle, design.plate_thickness if design.plates > 0 else 0.0)
     least = max(LEAST_NOZZLES * design.nozzle, end / design.taper)
@@ -159,7 +160,8 @@ def default_diameter(mesh: PolygonMesh, design: Design) -> float:
 
 
 def refuse_thick(mesh: PolygonMesh, outer: float, diameter: float, design: Design) -> None:
-    """Raise UsageError if tubes of that outer radius close more than MOST_SEALED of the faces."""
+    """Raise UsageError if tubes with the radius ``outer`` close more than
+    MOST_SEALED of the faces."""
     gaps = plates.openings(mesh, np.full(mesh.vertex_count, outer))
     closed = np.flatnonzero(gaps < design.nozzle / 2)
     if len(closed) <= MOST_SEALED * mesh.face_count:

@@ -1,4 +1,4 @@
-"""The object as a printer builds it: layer by layer, on a grid as fine as the nozzle."""
+"""The layers of an object as a printer builds them, on a grid of the nozzle's width."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from ..compiled import compiled
 from ..mesh.polygons import Floats, Ints
 
 MOST_CELLS = 600
-"""Number of cells along the longest side of a layer; beyond it the grid is coarser than the
-nozzle."""
+"""Largest number of cells along the longest side of a layer. Beyond it the grid is
+coarser than the nozzle."""
 LEAST_ISLAND = 4
-"""Number of cells; smaller parts are artefacts of the grid."""
+"""Smallest number of cells of an island. Smaller ones are artefacts of the grid."""
 
 
 @dataclass(frozen=True)
 class Islands:
-    """Parts of layers that begin in the air."""
+    """Parts of layers that have nothing under them."""
 
     places: Floats
-    """Their centres ``(K, 3)`` in mm, the widest first."""
+    """The centres ``(K, 3)`` of the islands in mm, the widest first."""
     areas: Floats
-    """Their areas in mm^2."""
+    """The areas of the islands in mm^2."""
     layers: int
     empty_layers: int
 
 
 def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> Islands:
-    """Parts of each layer that touch no part of the layer below, diagonally neither."""
+    """The parts of each layer that touch no part of the layer below, not even diagonally."""
     from scipy import ndimage
 
     touch = np.ones((3, 3), bool)
@@ -44,7 +44,7 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
     heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
     for z, mask, origin in sections(vertices, triangles, heights, pitch):
         count += 1
-        # A tip may end between two points: an empty layer with nothing above it is not a gap.
+        # A tip may end between two grid points. An empty layer with nothing above it is no gap.
         if mask.any():
             filled += 1
             empty = count - filled
@@ -53,7 +53,7 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
             held = np.bincount(labels[_grown(below)], minlength=parts + 1)
             size = np.bincount(labels.ravel(), minlength=parts + 1)
             loose = (held == 0) & (size >= LEAST_ISLAND)
-            loose[0] = False  # the air
+            loose[0] = False  # label 0 is the air
             for part in np.flatnonzero(loose).tolist():
                 row, column = np.nonzero(labels == part)
                 middle = origin + pitch * (np.array([row.mean(), column.mean()]) + 0.5)
@@ -83,10 +83,10 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def sections(
     vertices: Floats, triangles: Ints, heights: Floats, pitch: float
 ) -> Iterator[tuple[float, NDArray[np.bool_], Floats]]:
-    """Of every height, which cells of a grid of that pitch have their centre inside there
-    ``(X, Y)``, and the grid's origin."""
+    """For each height, the cells ``(X, Y)`` of a grid whose centre is inside,
+    and the grid's origin."""
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    # Off the round numbers at which objects have corners and upright walls.
+    # The grid avoids the round numbers at which objects have corners and upright walls.
     origin = low - pitch * (1 + 0.137 * np.array([1.0, 0.71]))
     shape = np.ceil((high - origin) / pitch + 1).astype(np.int64)
     corner_z = vertices[triangles][..., 2]
@@ -115,7 +115,7 @@ def _cross(vertices: Any, triangles: Any, z: float, origin: Any, pitch: float, f
         ax = ay = bx = by = 0.0
         for k in range(3):
             i, j = triangles[t, k], triangles[t, (k + 1) % 3]
-            if i > j:  # the same arithmetic from either side of an edge
+            if i > j:  # so that both triangles at an edge give the same result
                 i, j = j, i
             zi, zj = vertices[i, 2], vertices[j, 2]
             if (zi < z) == (zj < z):

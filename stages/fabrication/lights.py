@@ -1,4 +1,4 @@
-"""Lights, and the room that each of them needs. In millimetres."""
+"""Lights, and the room that each of them needs. Lengths are in millimetres."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 LIP = 2.0
-"""How far a cup narrows above its light."""
+"""Length by which a cup narrows above its light."""
 RING = 3.0
-"""Thickness of the ring that a lamp holder is screwed to."""
+"""Thickness of the ring to which a lamp holder is screwed."""
 HOLDER_ROOM, HOLDER_HEIGHT = 8.0, 40.0
-"""How much wider than its hole a lamp holder is below the ring, and the height that it needs
-there."""
+"""Width by which a lamp holder exceeds its hole below the ring, and the
+height that it needs there."""
 
 Preset = Literal["tea-light", "puck", "e14", "e27", "usb-bulb", "largest", "none"]
 
 
 @dataclass(frozen=True)
 class Light:
-    """A light: a cylinder that stands in a cup, or a bulb above a ring that carries its holder."""
+    """A light: a cylinder that stands in a cup, or a bulb above a ring with its holder."""
 
     diameter: float
     height: float
@@ -36,8 +36,8 @@ PRESETS = {
     "usb-bulb": Light(45.0, 75.0, hole=32.0, cable=5.0),
     "largest": Light(0.0, 20.0),
 }
-"""Clearance for E14 and E27 holders: 28.5 and 39.5 mm threads with a ring nut. Bulbs: golf ball,
-A60."""
+"""The lights by name. The holes fit E14 and E27 holders with threads of 28.5 and 39.5 mm and a ring
+nut. The bulbs are a golf ball and an A60."""
 
 
 @dataclass(frozen=True)
@@ -51,20 +51,20 @@ class Room:
 
 @dataclass(frozen=True)
 class Cavity:
-    """The empty space for a light, and what is built around it. Heights count from the floor."""
+    """The empty space for a light, and the walls around it. Heights are measured from the floor."""
 
     light: Light
     radius: float
-    """Radius of the room that opens at the floor."""
+    """Radius of the room that is open at the floor."""
     height: float
-    """Height of that room, up to the ring or to where the cup begins to narrow."""
+    """Height of that room, up to the ring or to the place where the cup begins to narrow."""
     wall: float
     outer: float
-    """Radius of the cup's outside."""
+    """Outer radius of the cup."""
     window: float
-    """Radius of the opening over the light, or of the ring's hole."""
+    """Radius of the opening over the light, or of the hole in the ring."""
     bulb: Room | None
-    """Free room over the ring."""
+    """The free room above the ring, if there is one."""
     lid: bool
 
     @property
@@ -73,15 +73,16 @@ class Cavity:
         return self.height + (RING if self.light.hole else self.radius - self.window)
 
     def rooms(self, keep: float) -> list[Room]:
-        """Rooms that must lie within the object; the bulb keeps a distance ``keep`` from the
-        surface."""
+        """The rooms that must lie inside the object. The bulb keeps the distance
+        ``keep`` from the surface."""
         cup = Room(self.outer, 0.0, self.top)
         bulb = self.bulb
         return [cup] if bulb is None else [cup, replace(bulb, radius=bulb.radius + keep)]
 
 
 LID, LUG, LUG_LOW, PLAY = 4.0, 1.5, 2.0, 0.3
-"""The bayonet lid: thickness, reach of its lugs, the height at which they begin, and its play."""
+"""The bayonet lid: its thickness, the length of its lugs, the height at which
+they begin, and its play."""
 
 
 def cavity(light: Light, clearance: float, wall: float, lid: bool) -> Cavity:

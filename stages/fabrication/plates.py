@@ -1,4 +1,4 @@
-"""Plates: faces of the surface as thin solid panes between the tubes, and how open a face is."""
+"""Plates, which are faces of the surface as thin panes between tubes, and the openings of faces."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ..mesh.geometry import face_frames
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 
 DARK = 0.3
-"""Share of the surface's area that stays open at least, so that light gets out."""
+"""Smallest share of the surface's area that plates leave open, so that light gets out."""
 BANDS, SECTORS = 8, 12
 """The checker pattern: number of bands over the height and of sectors around the axis."""
 
 
 def choose(faces: PolygonMesh, share: float, pattern: str, random: np.random.Generator) -> Ints:
-    """Indices of ``share`` of the faces, sorted, by one of the patterns random, even (far from
-    each other), height (more of them below) and checker.
+    """The sorted indices of a ``share`` of the faces, chosen by a ``pattern``.
 
-    Fewer where less than DARK of the area would stay open.
+    The patterns are random, even (far from each other), height (more at the bottom) and checker.
+    There are fewer faces if less than DARK of the area would stay open.
     """
     count = faces.face_count
     wanted = round(share * count)
@@ -46,7 +46,7 @@ def choose(faces: PolygonMesh, share: float, pattern: str, random: np.random.Gen
 
 
 def _far_apart(points: Floats, count: int, first: int) -> Ints:
-    """Farthest-point sampling from ``first`` on."""
+    """Farthest-point sampling of ``count`` points that begins with ``first``."""
     chosen = np.empty(count, np.int64)
     distance = np.full(len(points), np.inf)
     for k in range(count):
@@ -58,9 +58,10 @@ def _far_apart(points: Floats, count: int, first: int) -> Ints:
 
 
 def plates(faces: PolygonMesh, chosen: Ints, thickness: float) -> list[Any]:
-    """A convex body per chosen face: its corners offset by half the thickness to either side.
+    """A convex body for each chosen face: its corners, moved by half the thickness to both sides.
 
-    The rim lies on the tube axes, so a plate no thicker than the tubes always merges with them.
+    The rim lies on the axes of the tubes, so that a plate that is no thicker than these always
+    merges with them.
     """
     from manifold3d import Manifold
 
@@ -75,10 +76,11 @@ def plates(faces: PolygonMesh, chosen: Ints, thickness: float) -> list[Any]:
 
 
 def openings(faces: PolygonMesh, radii: Floats) -> Floats:
-    """Radius ``(F,)`` of the largest circle left open in each face by tubes of ``radii (V,)`` at
-    its corners; negative where they close it.
+    """The radius ``(F,)`` of the largest circle that tubes leave open in each face.
 
-    Exact for convex, flat faces and one radius (the Chebyshev centre's linear programme).
+    The tubes have ``radii (V,)`` at the corners. The radius is negative if they close the face. It
+    is exact for convex, flat faces and tubes of one radius (linear programme of the Chebyshev
+    centre).
     """
     _, normal, centre = face_frames(faces)
     helper = np.eye(3)[np.abs(normal).argmin(axis=1)]
@@ -100,7 +102,7 @@ def openings(faces: PolygonMesh, radii: Floats) -> Floats:
 def _openings(offsets: Any, corners: Any, radii: Any, found: Any) -> None:
     for face in range(len(offsets) - 1):
         start, count = offsets[face], offsets[face + 1] - offsets[face]
-        # Lines a x + b y + r <= c, moved inward by the thicker end of their tube.
+        # Constraints a x + b y + r <= c. Each line is moved inward by the thicker end of its tube.
         lines = np.empty((count, 3))
         kept = 0
         for k in range(count):

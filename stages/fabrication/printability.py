@@ -1,4 +1,4 @@
-"""Checks whether an object will print, each with a verdict and the worst places."""
+"""Checks of whether an object will print, each with a verdict and the worst places."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ BRIDGE = 10.0
 LEVEL = 15.0
 """A tube that rises by fewer degrees than this is a bridge."""
 STEEP, FLAT = 45.0, 70.0
-"""Degrees from upright from which on a downward side is an overhang, or nearly a ceiling."""
+"""Angles from upright, in degrees, above which a downward side is an
+overhang, or nearly a ceiling."""
 MOST_FLAT = 0.2
 """Share of the surface that may be nearly a ceiling without a warning."""
 SEALED = 0.01
 """Share of the faces that tubes may close without a warning."""
 THIN = 1e-3
-"""Rounding to 32 bits that a wall may lose, in mm."""
+"""Length in mm by which rounding to 32 bits may make a wall thinner."""
 ALONG = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Where on a tube's axis its thickness is measured."""
+"""Positions along a tube's axis, from 0 to 1, at which its thickness is measured."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One check: ``verdict`` is ok, warn, fail or not run."""
+    """The result of one check. ``verdict`` is one of ok, warn, fail and not run."""
 
     name: str
     verdict: str
@@ -62,10 +63,10 @@ def wall(
     nozzle: float,
     layer: float,
 ) -> list[Check]:
-    """Thickness of tubes and plates, measured on the finished mesh.
+    """The thickness of tubes and plates, measured on the finished mesh.
 
-    Twice the distance from a point of an axis, or from the middle of a plate, to the surface.
-    ``axes`` are points of tube axes that lie inside the object.
+    It is twice the distance from a point of a tube's axis, or from the middle of a plate, to the
+    surface. ``axes`` are points of tube axes that lie inside the object.
     """
     from ..mesh.queries.triangle_tree import TriangleTree
 
@@ -90,8 +91,8 @@ def wall(
 
 
 def shell(distances: Floats, wall: float) -> Check:
-    """The wall of a shell; ``distances (N,)`` are those of the vertices of its inner side from the
-    outer one."""
+    """The thickness of a shell's wall. ``distances (N,)`` are those of the inner
+    vertices from the outer side."""
     least = float(distances.min())
     return Check(
         "shell", "ok" if least >= wall - THIN else "fail", round(least, 4), wall, "mm",
@@ -160,13 +161,15 @@ def layered(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> l
 
 
 def overhangs(vertices: Floats, triangles: Ints) -> Check:
-    """Shares of the surface that face down by more than STEEP and FLAT, without what stands on the
-    floor."""
+    """The shares of the surface that face down by more than STEEP and by more than FLAT.
+
+    Parts that stand on the floor do not count.
+    """
     area = triangle_areas(vertices, triangles)
     normal = triangle_normals(vertices, triangles)[0]
     middle = vertices[triangles].mean(axis=1)
     down = (normal[:, 2] < 0) & (middle[:, 2] > vertices[:, 2].min() + 1e-3)
-    # A side that hangs over by an angle from upright looks down by its sine.
+    # For a side at an angle from upright, the normal's downward part is the sine of the angle.
     steep = down & (-normal[:, 2] > np.sin(np.radians(STEEP)))
     flat = down & (-normal[:, 2] > np.sin(np.radians(FLAT)))
     total = float(area.sum())
@@ -183,9 +186,9 @@ def overhangs(vertices: Floats, triangles: Ints) -> Check:
 
 
 def sealed(centres: Floats, sizes: Floats, count: int) -> Check:
-    """Faces that the tubes close; ``sizes`` are their openings, negative where tubes overlap.
+    """The faces that tubes close. ``sizes`` are their openings, negative where tubes overlap.
 
-    A few at the tip of an ear do not matter, since they are closed as plates are.
+    A few of them at a tip do no harm: panes close them, as plates do.
     """
     order, most = np.argsort(sizes, kind="stable"), SEALED * count
     return Check(
@@ -196,7 +199,7 @@ def sealed(centres: Floats, sizes: Floats, count: int) -> Check:
 
 
 def bed(size: tuple[float, float, float], room: tuple[float, float, float]) -> Check:
-    """Whether the object fits the printer, also if it is turned by a right angle."""
+    """Whether the object fits the printer, possibly turned by a right angle."""
     fits = (
         sorted(size[:2])[0] <= sorted(room[:2])[0]
         and sorted(size[:2])[1] <= sorted(room[:2])[1]
@@ -224,7 +227,7 @@ def stability(found: Balance) -> Check:
 
 
 def openness(share: float) -> Check:
-    """The share of the surface that lets light out, which neither plates nor tubes cover."""
+    """The share of the surface that neither plates nor tubes cover, and that lets light out."""
     return Check(
         "open area", "ok" if share >= 0.1 else "warn", round(share, 4), 0.1, "share",
         f"{100 * share:.0f} % of the surface is open",

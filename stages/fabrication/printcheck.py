@@ -1,4 +1,4 @@
-"""Checks of the written files, read back by other libraries."""
+"""Checks of the written files, which other libraries read back."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from ..errors import NumericalFailure
 
 SCALES = {"glb": 1000.0}
-"""Millimetres in a unit of each file format."""
+"""Millimetres per unit of those file formats that do not use millimetres."""
 
 
 @dataclass(frozen=True)
 class PrintCheck:
-    """The content of a file."""
+    """What a file contains."""
 
     watertight: bool
     consistent_winding: bool
@@ -27,8 +27,7 @@ class PrintCheck:
     lowest_mm: float
 
     def fault(self, bodies: int = 1) -> str | None:
-        """Why the file, which should have this number of bodies, is not fit for printing, or
-        None."""
+        """The reason why a file with this number of ``bodies`` is not fit for printing, or None."""
         if not self.watertight:
             return "is not watertight"
         if not self.consistent_winding or self.volume_mm3 <= 0:
@@ -40,8 +39,10 @@ class PrintCheck:
 
 
 def check(path: Path) -> PrintCheck:
-    """Read ``path`` with trimesh, merge equal vertices as a slicer does, and measure. 3MF is read
-    with lib3mf in strict mode."""
+    """Measure ``path`` as trimesh reads it, with equal vertices merged, as a slicer does.
+
+    3MF is read with lib3mf in strict mode.
+    """
     import trimesh
 
     kind = path.suffix[1:]
@@ -74,11 +75,12 @@ def check(path: Path) -> PrintCheck:
 
 
 CLOSE = 1e-3
-"""Allowed relative difference of the volumes of two files of one object: GLB is in metres."""
+"""Largest relative difference of the volumes of two files of one object. GLB is in metres, so that
+its coordinates are rounded differently."""
 
 
 def of_files(paths: dict[str, Path], bodies: int) -> dict[str, Any]:
-    """The content of the STL; every other file must have the same.
+    """What the STL contains, if all other files contain the same.
 
     Raises NumericalFailure if a file is not fit for printing.
     """

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from ..progress import Progress
 
 OVERLAP = 0.5
-"""Depth in mm by which a solid reaches into its pedestal."""
+"""Depth in mm to which a solid extends into its pedestal."""
 DRAWN = {"volume": "inner edges of the volume", "both": "edges of the volume"}
 MOST_DROPPED = 1.0
-"""Volume in mm^3 that may be lost with unconnected parts."""
+"""Largest volume in mm^3 that may be lost with unconnected parts."""
 
 
 def _no_tubes() -> dict[str, Any]:
@@ -39,7 +39,7 @@ def _no_tubes() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Product:
-    """An object in mm, ready to be written."""
+    """An object in mm that can be written."""
 
     name: str
     part: Part
@@ -51,10 +51,11 @@ class Product:
     metrics: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     measured: list[Check] = field(default_factory=list)
-    """Checks that need more than the finished mesh."""
+    """Checks that were made while the object was made, because they need more
+    than the finished mesh."""
 
     def checks(self, room: tuple[float, float, float], nozzle: float, layer: float) -> list[Check]:
-        """All checks: of the finished mesh, and those measured while it was made."""
+        """All checks: those of the finished mesh, and ``measured``."""
         vertices, triangles = self.part.vertices.astype(np.float64), self.part.triangles
         size = np.ptp(vertices, axis=0)
         found = [printability.bed((float(size[0]), float(size[1]), float(size[2])), room)]
@@ -91,7 +92,7 @@ def _centre(body: Any) -> Floats:
 
 
 def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
-    """The surface as a solid, or as a shell of ``wall`` mm that is open at the bottom."""
+    """The surface as a solid or, with ``wall`` in mm, as a shell that is open at the bottom."""
     stance = lamp.stand(shape.surface, shape.surface, asked)
     surface = stance.apply(shape.surface)
     checks = []
@@ -101,7 +102,7 @@ def solid(shape: Shape, asked: Request, wall: float | None) -> Product:
         body, distances = solids.shell(surface, wall)
         checks.append(printability.shell(distances, wall))
     if stance.base != "none":
-        # The solid reaches into a pedestal, since bodies that only touch are not one body.
+        # The solid extends into a pedestal, because bodies that only touch do not become one body.
         body = body.trim_by_plane((0, 0, 1), max(stance.lift - OVERLAP, 0.0))
     if stance.base == "pedestal":
         body = assembly.union([body, *lamp.bodies(stance, surface, surface, 0.0).add])
@@ -148,12 +149,12 @@ def exploded(shape: Shape, asked: Request, factor: float) -> Product:
 def tubes_of(
     shape: Shape, asked: Request, design: Design, random: np.random.Generator, progress: Progress
 ) -> Product:
-    """Tubes along edges, with plates, a base and a cavity if asked for.
+    """Tubes along edges, with plates, a base and a cavity if they are asked for.
 
     Raises UsageError if the tubes would close most faces, and NumericalFailure if the result is not
     one body.
     """
-    # The scale decides the default diameter, which decides how much room tubes take: two rounds.
+    # The scale sets the default diameter, and the diameter changes the scale, hence two rounds.
     mesh, _ = lattice.followed(shape, design)
     asked = replace(asked, taper=design.taper)
     first = lamp.stand(mesh, shape.surface, replace(asked, light=None))
@@ -230,8 +231,10 @@ def _how_to_join(made: Lattice, design: Design) -> str:
 def _measured(
     made: Lattice, stance: Stance, design: Design, part: Part, clear: Callable[[Floats], Any]
 ) -> tuple[list[Check], dict[str, Any]]:
-    """Checks of tubes and plates where they are ``clear`` of what is cut, and the lattice's
-    figures."""
+    """The checks of tubes and plates, and figures of the lattice.
+
+    ``clear`` says which points are clear of everything that is cut away.
+    """
     graph, panes = made.graph, made.panes
     area, _, centre = face_frames(graph.faces)
     checks = printability.wall(
@@ -290,7 +293,8 @@ def _warnings(
 
 
 def _uncut(stance: Stance, diameter: float, cable: float) -> Callable[[Floats], Any]:
-    """A function that says which points of axes are clear of the floor, the base and the cavity."""
+    """A function that says which points of tube axes are clear of the floor,
+    the base and the cavity."""
     floor = stance.lift + diameter + (cable if stance.lift == 0 and stance.place else 0.0)
     if stance.base == "footprint" and stance.lift == 0:
         floor = max(floor, base.FOOT + diameter)
@@ -334,7 +338,7 @@ def _facts(part: Part, stance: Stance) -> dict[str, Any]:
 
 
 def _light_at(stance: Stance, surface: PolygonMesh) -> tuple[float, float, float] | None:
-    """The place of the light for pictures: above the cup, inside the shape."""
+    """The place ``(3,)`` of the light in pictures: above the cup, inside the shape."""
     if stance.place is None or stance.cavity is None:
         return None
     top = float(surface.vertices[:, 2].max())

@@ -1,4 +1,4 @@
-"""PrusaSlicer as a test of a written file: what it repairs or leaves out, and its estimates."""
+"""PrusaSlicer as a test of a written file: what it repairs or leaves out, and what it estimates."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ REPAIRS = (
     "open_edges", "edges_fixed", "degenerate_facets", "facets_removed", "facets_reversed",
     "backwards_edges",
 )  # fmt: skip
-"""Keys of --info that appear only if the slicer had to repair the mesh."""
+"""Keys in the output of ``--info`` that appear only if the slicer had to repair the mesh."""
 SECONDS = 3600
+"""The time after which the slicer is stopped."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def slice_file(
         target = Path(folder) / "out.gcode"
         x, y = room[:2]
         if float(info.get("size_x", 0)) > x or float(info.get("size_y", 0)) > y:
-            x, y = y, x  # it fits when turned, or would have been refused
+            x, y = y, x  # the object was checked: it fits when turned
         said = _run(
             [
                 command, "--export-gcode", "--load", str(PROFILE), "--loglevel", "2",

@@ -1,5 +1,4 @@
-"""Solids, shells, and the cells of the volume: as tubes along their edges, or as separate
-bodies."""
+"""Solids and shells, and the cells of a volume as tubes along their edges or as separate bodies."""
 
 from __future__ import annotations
 
@@ -15,19 +14,18 @@ from ..mesh.solids import solid_of
 from ..mesh.topology import edges
 
 GRID = 128
-"""Cells of the distance grid along the longest side; more if the wall would be thinner than two
-cells."""
+"""Number of cells of the distance grid along the longest side. There are more if the wall would be
+thinner than two cells."""
 MOST_GRID = 256
 
 
 def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
-    """``surface`` in mm as a hollow body whose wall is nowhere thinner than ``wall``, and the
-    distance of each vertex of the inner side ``(N,)`` from the outer one.
+    """A hollow body with a wall nowhere thinner than ``wall``, from ``surface`` in mm.
 
-    The inner side is a level set of the distance on a grid, drawn half a cell further in, which is
-    more than what linear interpolation can be off.
-
-    Raises UsageError when nothing is that far inside.
+    The second value is the distance ``(N,)`` of each vertex of the inner side from the outer one.
+    The inner side is a level set of the distance on a grid. It is moved inward by half a cell,
+    which is more than the error of linear interpolation. Raises UsageError if nothing is that far
+    inside.
     """
     import igl
     from manifold3d import Manifold, Mesh64
@@ -59,8 +57,8 @@ def shell(surface: PolygonMesh, wall: float) -> tuple[Any, Floats]:
 
 
 def edges_of(arrays: Mapping[str, Any], which: str) -> Ints:
-    """Edges ``(E, 2)`` of the volumetric mesh: of its ``surface``, those only inside (``volume``),
-    or ``both``."""
+    """Edges ``(E, 2)`` of the volume: those of its surface, those inside
+    (``volume``), or ``both``."""
     cells = PolygonMesh.from_arrays(arrays)
     taken = edges(cells)
     if which == "both":
@@ -74,8 +72,10 @@ def edges_of(arrays: Mapping[str, Any], which: str) -> Ints:
 
 
 def exploded(arrays: Mapping[str, Any], factor: float) -> tuple[Floats, Ints]:
-    """Vertices and triangles of all cells, each closed by itself and moved away from the middle so
-    that distances between their centres grow by ``factor``."""
+    """Vertices and triangles of all cells, each closed by itself.
+
+    The cells are moved away from the centre, so that distances between them grow by ``factor``.
+    """
     mesh = PolygonMesh.from_arrays(arrays)
     vertices, triangles, face = fan_triangles(mesh)
     owner, neighbour = (np.asarray(arrays[f"face_{side}"])[face] for side in ("owner", "neighbour"))

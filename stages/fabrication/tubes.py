@@ -1,4 +1,4 @@
-"""Tubes along edges: for each edge the hull of a polyhedron at either end."""
+"""Tubes along edges. Each tube is the convex hull of the polyhedra at its two ends."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..mesh.polygons import Floats, Ints, PolygonMesh
 from ..mesh.topology import edges
 
 RISE = 0.02
-"""Height in mm by which a raised node lies above its lower neighbour."""
+"""Height in mm by which a raised node is above its lower neighbour."""
 FILLET_REACH, FILLET_RADIUS = 1.6, 0.8
-"""Length of a fillet along a tube, and its thickness there, in tube radii."""
+"""Length of a fillet along a tube, and its radius at the end, in tube radii."""
 
 
 @dataclass(frozen=True)
 class TubeGraph:
-    """Axes of the tubes: ``nodes (K, 3)`` in mm, ``tubes (E, 2)``, and the faces over the nodes."""
+    """The axes of tubes: ``nodes (K, 3)`` in mm, ``tubes (E, 2)``, and the faces over the nodes."""
 
     nodes: Floats
     tubes: Ints
     faces: PolygonMesh
     face_sources: Ints
-    """For each face of ``faces``, the face of the surface that it comes from."""
+    """The face of the surface from which each face of ``faces`` comes."""
 
     @property
     def lengths(self) -> Floats:
@@ -36,20 +36,22 @@ class TubeGraph:
 
     @property
     def parts(self) -> int:
-        """Connected components."""
+        """The number of connected components."""
         return components(len(self.nodes), self.tubes)[0]
 
     @property
     def loops(self) -> int:
-        """Independent cycles, E - V + components: the genus of thin tubes along the graph."""
+        """The number of independent cycles, E - V + components. It is the genus of thin
+        tubes along the graph."""
         return len(self.tubes) - len(self.nodes) + self.parts
 
 
 def tube_graph(surface: PolygonMesh, weld: float, wanted: Ints | None = None) -> TubeGraph:
-    """The edges of ``surface (mm)`` after edges shorter than ``weld`` have been contracted.
+    """The edges of ``surface``, in mm, after edges shorter than ``weld`` are contracted.
 
-    ``wanted (E, 2)`` are the edges to take, all by default. Voronoi edges go down to a millionth
-    of the size: tubes along them would only cost time. A contracted group sits at its mean.
+    ``wanted (E, 2)`` are the edges to take, by default all. Voronoi edges can be as short as a
+    millionth of the size, and tubes along them would only take time. Contracted vertices go to
+    their mean.
     """
     target = contract_short_edges(surface, weld)
     count = np.bincount(target, minlength=surface.vertex_count)
@@ -74,12 +76,16 @@ def tube_graph(surface: PolygonMesh, weld: float, wanted: Ints | None = None) ->
 
 
 def raised(graph: TubeGraph, floor: float, most: float) -> TubeGraph:
-    """The graph with nodes above ``floor`` raised until each has a lower neighbour, so that the
-    printer begins none of them in the air; a hollow that would need more than ``most`` stays."""
+    """The graph with nodes above ``floor`` raised until each has a lower neighbour.
+
+    Then a printer begins none of them in the air. A hollow that would have to be raised by more
+    than ``most`` stays as it is.
+    """
     start, end = np.concatenate([graph.tubes, graph.tubes[:, ::-1]]).T
     height, count = graph.nodes[:, 2], len(graph.nodes)
     standing = (height <= floor) | (height == height.min())
-    # As water fills hollows: the lowest heights from which a path leads down to a node that stands.
+    # Hollows are filled, as by water: a node gets the lowest height from which a path leads down to
+    # a node that stands.
     filled = np.where(standing, height, np.inf)
     while True:
         least = np.full(count, np.inf)
@@ -100,7 +106,8 @@ def raised(graph: TubeGraph, floor: float, most: float) -> TubeGraph:
 
 
 def ball(sides: int) -> Floats:
-    """Corners of a unit-sphere polyhedron with ``sides`` around the equator, ``(P, 3)``."""
+    """Corners ``(P, 3)`` of a polyhedron on the unit sphere, with ``sides``
+    corners around the equator."""
     from manifold3d import Manifold
 
     mesh = Manifold.sphere(1.0, sides).to_mesh()
@@ -108,10 +115,10 @@ def ball(sides: int) -> Floats:
 
 
 def compensation(corners: Floats) -> float:
-    """Factor on the radius so that the thinnest tube between two polyhedra has the one asked for.
+    """Factor for the radius, so that the thinnest tube between two polyhedra has the wanted radius.
 
-    A tube's cross-section is the polyhedron seen along the tube; its inradius is at least the
-    smallest support of the polyhedron over all directions, the distance to its nearest facet.
+    The cross-section of a tube is the polyhedron seen along the tube. Its inner radius is at least
+    the distance of the polyhedron's nearest facet from the centre.
     """
     from scipy.spatial import ConvexHull
 
@@ -119,17 +126,17 @@ def compensation(corners: Floats) -> float:
 
 
 def tubes(graph: TubeGraph, radii: Floats, sides: int, fillet: bool = False) -> list[Any]:
-    """One convex body per edge, with the ``radii (K,)`` of its ends, in mm.
+    """A convex body for each edge, in mm. ``radii (K,)`` are those at the nodes.
 
-    Neighbours share the polyhedron at their node, so they merge. ``fillet`` adds to every node the
-    hull of its polyhedron and of smaller ones a little way out along its tubes.
+    Tubes share the polyhedron at their common node, so that they merge. With ``fillet``, each node
+    gets the hull of its polyhedron and of smaller ones a short distance along its tubes.
     """
     from manifold3d import Manifold
 
     corners = ball(sides)
     corners = corners * compensation(corners)
     at = graph.nodes[:, None] + radii[:, None, None] * corners
-    # manifold3d takes one hull at a time: these loops are over library objects, 1 ms each.
+    # manifold3d computes one hull at a time, in about 1 ms, hence these loops.
     bodies = [Manifold.hull_points(np.concatenate([at[a], at[b]])) for a, b in graph.tubes.tolist()]
     if not fillet:
         return bodies
@@ -149,6 +156,7 @@ def tubes(graph: TubeGraph, radii: Floats, sides: int, fillet: bool = False) -> 
 
 
 def tapered(nodes: Floats, radius: float, top: float) -> Floats:
-    """Radii ``(K,)``: ``radius`` at the lowest node, ``top`` times that at the highest."""
+    """The radii ``(K,)`` of nodes: ``radius`` at the lowest node, and ``top``
+    times that at the highest."""
     z = nodes[:, 2]
     return np.asarray(radius * (1 - (1 - top) * (z - z.min()) / max(float(np.ptp(z)), 1e-300)))

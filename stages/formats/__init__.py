@@ -1,1 +1,1 @@
-"""Readers and writers of files, one module a format."""
+"""Readers and writers of files, one module for each format."""

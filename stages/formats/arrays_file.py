@@ -1,4 +1,5 @@
-"""Reading NumPy's own files, which may be anything, without trusting them."""
+"""Reads files of NumPy (.npy, .npz), which may be damaged or harmful,
+without executing anything."""
 
 from __future__ import annotations
 
@@ -19,27 +20,30 @@ from ..errors import InputError
 from . import packed
 
 LARGEST = 512**3
-"""Numbers in a file."""
+"""Largest number of values in a file."""
 DAMAGED = (
     OSError, ValueError, EOFError, MemoryError, SyntaxError, KeyError, OverflowError, TypeError,
     NotImplementedError, RuntimeError, TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What NumPy raises at damaged files."""
+"""The exceptions that NumPy raises for damaged files."""
 
 
 @contextmanager
 def _unwarned() -> Iterator[None]:
-    """NumPy warns of the headers that it then refuses, or reads all the same."""
+    """Suppress NumPy's warnings about headers, which it then refuses or reads correctly."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         yield
 
 
 def single_array(path: Path) -> NDArray[Any]:
-    """The array of a .npy file, not yet read unless it is packed. Raises InputError."""
+    """The array of a .npy file, which is mapped into memory unless the file is packed.
+
+    Raises InputError if it cannot be read, holds no numbers, or is too large.
+    """
     try:
         with _unwarned():
-            # What is packed has no place in a file that could be mapped.
+            # A packed array cannot be mapped into memory.
             mode: Any = None if packed.is_packed(path) else "r"
             values: NDArray[Any] = np.load(_opened(path), mmap_mode=mode, allow_pickle=False)
     except DAMAGED as error:
@@ -49,7 +53,10 @@ def single_array(path: Path) -> NDArray[Any]:
 
 
 def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz file. Raises InputError."""
+    """The arrays of a .npz file by name.
+
+    Raises InputError if it cannot be read, holds no numbers, or is too large.
+    """
     try:
         with zipfile.ZipFile(_opened(path)) as archive:
             size = sum(item.file_size for item in archive.infolist())
@@ -65,7 +72,7 @@ def named_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def names(path: Path) -> list[str]:
-    """Of the arrays in a .npz file, without reading them; none of a file that is damaged."""
+    """The names of the arrays in a .npz file, which are not read; none if it is damaged."""
     try:
         with zipfile.ZipFile(_opened(path)) as archive:
             return [Path(name).stem for name in archive.namelist()]
@@ -74,7 +81,7 @@ def names(path: Path) -> list[str]:
 
 
 def dimensions(path: Path) -> int:
-    """Of the array in a .npy file; 0 if it is damaged."""
+    """The number of dimensions of the array in a .npy file; 0 if it is damaged."""
     try:
         return single_array(path).ndim
     except InputError:

@@ -1,5 +1,9 @@
-"""Reading point clouds, by the ending of their file: text, PLY, NPY, NPZ, Expe's PTS, and the
-formats that are modules of their own."""
+"""Reads point clouds. The suffix of the file decides the format.
+
+Text, PLY, NPY, NPZ and the PTS files of Expe are read here; other formats have modules of their
+own. To add a format, write a function that reads a path and returns a ``Table``, and add it to
+READERS under its suffix. ``kind_of`` in ``inputs/resolve.py`` then recognises it as a point cloud.
+"""
 
 from __future__ import annotations
 
@@ -24,40 +28,41 @@ READERS: dict[str, Callable[[Path], Table]] = {
     **dict.fromkeys(las.ENDINGS, las.read),
     ".e57": e57.read,
 }
-"""Of the formats that hold nothing but points; text may be more than one thing."""
+"""The readers of formats that contain only points, by suffix."""
 FEWEST, MOST = 100, 2_000_000
-"""Points that a surface can be made of; of more, so many are taken."""
+"""Smallest number of points of a surface, and the largest number that is used of a cloud."""
 FLAT = 1e-5
-"""Extent across the plane of the points, over the largest, below which they are flat."""
+"""Points are in one plane if their extent across it, divided by the largest extent, is less."""
 EXPE = b"[Expe/PointSet/Binary/0.1]"
 
 
 @dataclass(frozen=True)
 class LoadedCloud:
-    """The points of a file in its order, those that are not finite, or there again, left out."""
+    """The points of a file in their order, without those that are not finite
+    and without duplicates."""
 
     points: Floats
     normals: Floats | None
     not_finite: int
     doubled: int
     thinned: int
-    """Points left out at random because there were more than MOST."""
+    """Number of points that were left out at random because there were more than MOST."""
     note: str
-    """What is to be said of the columns that were taken, if anything."""
+    """A sentence about the columns that were taken; empty if none is needed."""
     columns: tuple[int, ...]
-    """Of a text: those that were taken, counted from 1 on."""
+    """The columns of a text file that were taken, counted from 1."""
 
 
 def load(path: Path, columns: str | None = None) -> LoadedCloud:
-    """The cloud in ``path``; ``columns`` says which those of a text are, as --columns does.
+    """The cloud in ``path``. ``columns`` names the columns of a text file, as ``--columns`` does.
 
-    Raises InputError for files that are missing, empty or no cloud, for too few points and for
-    points of one plane.
+    Raises InputError if the file is missing, empty or not a point cloud, if it has too few points,
+    or if all are in one plane.
     """
     try:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty; export the points again")
-        with np.errstate(all="ignore"):  # what is no number is found below
+        with np.errstate(all="ignore"):  # values that are not finite are found below
             table = _read(path, columns)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
@@ -68,7 +73,7 @@ def load(path: Path, columns: str | None = None) -> LoadedCloud:
         ) from error
     points, normals = table.points, table.normals
     count = len(points)
-    # The squares of what is larger are not finite.
+    # The squares of larger numbers would not be finite.
     finite = (np.abs(np.nan_to_num(points, nan=np.inf)) < 1e150).all(axis=1)
     _, first = np.unique(points[finite], axis=0, return_index=True)
     kept = np.flatnonzero(finite)[np.sort(first)]
@@ -126,7 +131,8 @@ def _numbers(values: NDArray[Any]) -> Floats:
 
 
 def _split(table: Floats, normals: Any) -> Table:
-    """Points, and normals if the rows of ``table (N, >= 3)`` have unit vectors after them."""
+    """Points, and normals if the columns after the points in
+    ``table (N, >= 3)`` are unit vectors."""
     if table.ndim != 2 or table.shape[1] < 3:
         raise ValueError(f"it has numbers of shape {table.shape}, not rows of x, y, z")
     if normals is not None:
@@ -139,7 +145,8 @@ def _split(table: Floats, normals: Any) -> Table:
 
 
 def _expe(raw: bytes) -> tuple[Floats, Floats | None]:
-    """The binary point sets of the Expe engine: records of little-endian floats."""
+    """Points and normals of a binary point set of the Expe engine: records of
+    little-endian floats."""
     head, mark, body = raw.partition(b"\ndata\n")
     fields, count = [], -1
     for line in head.decode("ascii", errors="replace").splitlines()[1:]:

@@ -1,4 +1,5 @@
-"""Faces of a mesh file that cannot be fanned about their middle, as triangles."""
+"""Triangulation of faces of a mesh file that cannot become a fan about the
+mean of their corners."""
 
 from __future__ import annotations
 
@@ -9,12 +10,16 @@ from ..mesh.polygons import PolygonMesh
 from ..mesh.triangulation import triangulated
 
 BEHIND = 1e-9
-"""Area of a fan's triangle that faces the other way, over that of its face, which is rounding."""
+"""A triangle of a fan faces the wrong way if its signed area, divided by that of the face, is below
+minus this. Smaller values are rounding."""
 
 
 def without_concave(mesh: PolygonMesh) -> PolygonMesh:
-    """``mesh`` with triangles in place of the faces whose middle does not see all of their edges,
-    such as the end of a U; these triangles come last. A face that crosses itself stays."""
+    """``mesh`` with triangles instead of those faces whose middle does not see all their edges.
+
+    The end of a U is such a face. The triangles come after all other faces. A face that crosses
+    itself is not changed.
+    """
     area, normal, centroid = face_frames(mesh)
     middle = centroid[mesh.corner_faces]
     here, there = (

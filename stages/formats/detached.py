@@ -1,4 +1,4 @@
-"""Samples that lie in other files than the header that names these."""
+"""Samples that are in other files than the header that names them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ MOST_FILES = 100_000
 
 
 def numbered(pattern: str, first: int, last: int, step: int) -> list[str]:
-    """The names that ``pattern``, as ``slice%03d.raw``, has for the numbers from ``first`` to
-    ``last``. Raises ValueError for too many, or a pattern that takes no number."""
+    """The names that ``pattern``, such as ``slice%03d.raw``, gives for numbers from ``first`` to
+    ``last``.
+
+    Raises ValueError if there are too many, or if the pattern takes no number.
+    """
     if step == 0 or abs(last - first) // abs(step) >= MOST_FILES:
         raise ValueError("its data lie in too many files")
     numbers = range(first, last + (1 if step > 0 else -1), step)
@@ -30,12 +33,12 @@ def read(
     skip: int = 0,
     window: int | None = None,
 ) -> bytes:
-    """``size`` bytes of data, or with None all of them, out of the files ``names`` one after the
-    other, which lie where ``header`` does if their paths are relative.
+    """``size`` bytes of data, or all if it is None, from the files ``names`` one after the other.
 
-    In each ``lines`` lines and then ``skip`` bytes are left out, with -1 all before the end's share
-    of ``size``. ``window`` is zlib's number for the packing of what follows the lines. Raises
-    ValueError for files that are not there or end early.
+    Relative names are relative to the folder of ``header``. In each file, first ``lines`` lines and
+    then ``skip`` bytes are left out; with -1, everything is left out but the file's share of
+    ``size`` at its end. ``window`` is zlib's parameter if the data after the lines are compressed.
+    Raises ValueError if a file is missing or ends early.
     """
     if not names or (size is not None and size % len(names)):
         raise ValueError(f"its data do not divide evenly into {len(names)} files")
@@ -44,7 +47,7 @@ def read(
     for name in names:
         place = header.parent / name
         if not place.is_file():
-            raise ValueError(f"its data are in {name}, which is not there")
+            raise ValueError(f"its data are in {name}, which does not exist")
         if place.stat().st_size > 2 * MOST:
             raise ValueError(f"its data in {name} are more than {2 * MOST / 1e9:.0f} GB")
         found.append(part(place.read_bytes(), share, lines, skip, window))
@@ -52,7 +55,8 @@ def read(
 
 
 def part(raw: bytes, size: int | None, lines: int, skip: int, window: int | None) -> bytes:
-    """The data in a file's bytes, as ``read`` says. Raises ValueError if they end early."""
+    """The data in the bytes of one file, as ``read`` describes. Raises
+    ValueError if they end early."""
     if lines < 0 or skip < -1 or (skip == -1 and window is not None):
         raise ValueError(f"it leaves out {lines} lines and {skip} bytes")
     for _ in range(lines):

@@ -1,4 +1,4 @@
-"""E57: scans with their poses, by pye57."""
+"""E57: laser scans with their poses, read with pye57."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from .text_table import Table
 
 
 def read(path: Path) -> Table:
-    """The points of all scans, in the file's common axes; those marked as invalid are left out.
+    """The points of all scans in the common axes of the file, without those that are marked as
+    invalid.
 
-    Raises BackendMissing without pye57, ValueError for damaged files.
+    Raises BackendMissing if pye57 is not installed, and ValueError if the file is damaged.
     """
     return scan_child.read(path, "e57", ("pye57",))
 
 
 def points(path: Path) -> tuple[Floats, str]:
-    """What ``read`` finds, ``(N, 3)``, and what is to be said of it, in the child process.
+    """The points ``(N, 3)`` and a note about them, for ``read``. It runs in the child process.
 
-    Raises whatever pye57 does at damaged files.
+    Raises whatever pye57 raises for damaged files.
     """
     import pye57
 

@@ -1,4 +1,4 @@
-"""What of glTF trimesh would leave out or read wrongly without a word, found in a file's header."""
+"""Content of glTF files that trimesh would ignore or misread silently, found in their headers."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ COMPRESSIONS = {
     "EXT_meshopt_compression": "meshopt",
     "KHR_meshopt_compression": "meshopt",
 }
-"""Extensions that compress geometry, and what people call them."""
+"""Extensions that compress geometry, and their common names."""
 INSTANCES = "EXT_mesh_gpu_instancing"
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_")
-"""How extensions begin that say nothing about geometry."""
+"""Prefixes of extensions that do not affect geometry."""
 READ = ("KHR_mesh_quantization",)
-"""Extensions of geometry that are read."""
+"""Extensions of geometry that are supported."""
 FAN, FLOAT = 6, 5126
-"""The mode of primitives that are fans of triangles, the type of numbers with a point."""
+"""The mode of primitives that are fans of triangles, and the type of floating-point numbers."""
 
 
 def refusal(raw: bytes) -> str | None:
-    """Why the scene in ``raw``, a .glb or .gltf file, cannot be read as it is meant; None if it
-    can, as far as its header tells.
+    """Why the scene in ``raw``, a .glb or .gltf file, cannot be read correctly; None if it can.
 
-    Raises ValueError for a header that is no JSON object.
+    Only the header is examined. Raises ValueError if the header is not a JSON object.
     """
     tree = _header(raw)
     used = [name for key in ("extensionsRequired", "extensionsUsed") for name in tree.get(key, [])]
@@ -68,8 +67,10 @@ def refusal(raw: bytes) -> str | None:
 
 
 def resolver(path: Path) -> Any:
-    """What gives trimesh the files beside the one at ``path``, whose names are parts of addresses:
-    a blank is %20 there."""
+    """An object that gives trimesh the files beside the one at ``path``.
+
+    Their names are parts of URLs, in which a blank is written as %20.
+    """
     from trimesh.resolvers import FilePathResolver
 
     class Unquoted(FilePathResolver):
@@ -80,9 +81,9 @@ def resolver(path: Path) -> Any:
 
 
 def files_beside(path: Path) -> list[Path]:
-    """The files that hold the buffers of the scene at ``path``, as far as its header can be read.
+    """The files with the buffers of the scene at ``path``, if its header can be read.
 
-    Raises what ``packed.content`` does.
+    Raises the same errors as ``packed.content``.
     """
     try:
         tree = _header(packed.content(path))

@@ -1,4 +1,4 @@
-"""Reading samples on a grid, by the ending of their file."""
+"""Reads samples on a grid. The suffix of the file decides the format."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ READERS: dict[str, Callable[[Path], Samples]] = {
     ".nii": nifti.read,
     ".vti": vti_file.read,
 }
-"""Of the formats that hold nothing but samples on a grid."""
+"""The readers of formats that contain only samples on a grid, by suffix."""
 
 
 def read(path: Path) -> Samples:
-    """The samples in ``path``, as they are. Raises InputError when they cannot be read."""
+    """The samples in ``path``, unchanged. Raises InputError if they cannot be read."""
     suffix = packed.ending(path)
     try:
         if suffix == ".npy":
@@ -44,9 +44,10 @@ def read(path: Path) -> Samples:
 
 
 def files_beside(path: Path) -> list[Path]:
-    """The files that hold the samples whose header is at ``path``; none if this holds them itself.
+    """The files with the samples whose header is ``path``; none if the samples are in the same
+    file.
 
-    Raises OSError and InputError when it cannot be read.
+    Raises OSError and InputError if the header cannot be read.
     """
     suffix = packed.ending(path)
     if suffix in nrrd_file.ENDINGS:

@@ -1,4 +1,4 @@
-"""LAS and LAZ: points of laser scanning, by laspy and lazrs."""
+"""LAS and LAZ: points of laser scans, read with laspy and lazrs."""
 
 from __future__ import annotations
 
@@ -16,32 +16,33 @@ from .text_table import Table
 
 ENDINGS = (".las", ".laz")
 CHUNK = 1_000_000
-"""Points that are unpacked at a time."""
+"""Number of points that are unpacked at a time."""
 DENSEST = 8
-"""Points a byte, of which files have one at the most: more are a damaged count."""
+"""Largest number of points per byte that a compressed file can have. A header that
+promises more is damaged."""
 RECORD = 54
-"""Bytes of the shortest record of variable length."""
+"""Number of bytes of the shortest record of variable length."""
 NOISE = (7, 18)
-"""Classes of points that whoever made the file took for noise."""
+"""Classes of points that the maker of the file marked as noise."""
 
 
 def read(path: Path) -> Table:
-    """The points, their whole numbers scaled and shifted as the header says, in double precision;
-    those that are withheld or of a class of noise are left out.
+    """The points, scaled and shifted as the header says, in double precision.
 
-    Raises BackendMissing without laspy or lazrs, ValueError for damaged files.
+    Points that are withheld or marked as noise are left out. Raises BackendMissing if laspy or
+    lazrs is not installed, and ValueError if the file is damaged.
     """
     return scan_child.read(path, "las", ("laspy", "lazrs"))
 
 
 def points(path: Path) -> tuple[Floats, str]:
-    """What ``read`` finds, ``(N, 3)``, and what is to be said of it, in the child process.
+    """The points ``(N, 3)`` and a note about them, for ``read``. It runs in the child process.
 
-    Raises whatever laspy and lazrs do at damaged files.
+    Raises whatever laspy and lazrs raise for damaged files.
     """
     import laspy
 
-    # What it logs is said below.
+    # The checks below replace its log messages.
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     found, there = [np.zeros((0, 3))], 0
     _check_records(path)
@@ -64,8 +65,10 @@ def points(path: Path) -> tuple[Floats, str]:
 
 
 def _check_records(path: Path) -> None:
-    """Raise ValueError for a header that promises more records than the file has room for, which
-    laspy would make nevertheless."""
+    """Raise ValueError if the header promises more records than the file has room for.
+
+    laspy would create all of them.
+    """
     with path.open("rb") as file:
         head = file.read(247)
     records = int.from_bytes(head[100:104], "little")

@@ -1,4 +1,4 @@
-"""Reading meshes: OBJ, PLY and 3MF with their polygons kept, everything else through trimesh."""
+"""Reads meshes: OBJ, PLY and 3MF with their polygons, and all other formats with trimesh."""
 
 from __future__ import annotations
 
@@ -16,26 +16,28 @@ from .concave import without_concave
 
 @dataclass(frozen=True)
 class LoadedMesh:
-    """A mesh as found in a file: nothing merged, nothing repaired; only faces that cannot be fanned
-    about their middle are triangles."""
+    """A mesh as it is in a file: nothing is merged or repaired.
+
+    Only faces that cannot become a fan about their middle are divided into triangles.
+    """
 
     polygons: PolygonMesh
     polygons_kept: bool
-    """False when trimesh read the file: it fans polygons into triangles."""
+    """False if trimesh read the file, because it divides polygons into triangles."""
 
 
 def load(path: Path) -> LoadedMesh:
-    """The mesh in ``path``, coordinates as in the file.
+    """The mesh in ``path``, in the coordinates of the file.
 
-    Raises InputError for files that are missing, empty or not a mesh, and for meshes without
-    faces, with coordinates that are not finite, or on a line.
+    Raises InputError if the file is missing, empty or not a mesh, and if the mesh has no faces, has
+    coordinates that are not finite, or is on a line.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a mesh file or the name of a built-in field")
     try:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty; export the mesh again")
-        with np.errstate(all="ignore"):  # what is no number is found below
+        with np.errstate(all="ignore"):  # values that are not finite are found below
             mesh, kept = _read(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check it") from error
@@ -61,7 +63,7 @@ def load(path: Path) -> LoadedMesh:
 
 
 def vertices_of(path: Path) -> Floats:
-    """The vertices ``(V, 3)`` in ``path``, whether there are faces or not. Raises InputError."""
+    """The vertices ``(V, 3)`` in ``path``, with or without faces. Raises InputError."""
     return _read(path)[0].vertices
 
 
@@ -86,7 +88,8 @@ def _read(path: Path) -> tuple[PolygonMesh, bool]:
 
 
 def _obj(raw: bytes) -> PolygonMesh:
-    """Vertices and faces of a Wavefront OBJ; negative indices count from the end so far."""
+    """Vertices and faces of a Wavefront OBJ. Negative indices count backwards from
+    the last vertex so far."""
     vertices: list[bytes] = []
     corners: list[int] = []
     offsets = [0]
@@ -143,7 +146,7 @@ def _read_trimesh(path: Path) -> PolygonMesh:
         mesh = scene.to_mesh()
     except InputError:
         raise
-    # trimesh's loaders raise whatever the damaged bytes lead them to.
+    # On damaged files, the loaders of trimesh raise exceptions of any kind.
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: trimesh cannot read it ({reason[:120]})") from error

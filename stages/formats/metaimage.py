@@ -1,4 +1,4 @@
-"""MetaImage: samples behind their header (.mha) or in files that it names (.mhd)."""
+"""MetaImage: samples after their header (.mha), or in files that the header names (.mhd)."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from .sample_grid import Samples, count_of, placed
 
 ENDINGS = (".mha", ".mhd")
 HEADER = 2**22
-"""Bytes that the header of a file may have."""
+"""Largest size of the header, in bytes."""
 _TYPES = {
     "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4",
     "MET_UINT": "u4", "MET_LONG": "i4", "MET_ULONG": "u4", "MET_LONG_LONG": "i8",
     "MET_ULONG_LONG": "u8", "MET_FLOAT": "f4", "MET_DOUBLE": "f8",
 }  # fmt: skip
-"""MET_LONG has four bytes, as MetaIO writes it everywhere."""
+"""NumPy's name for each type. MET_LONG has four bytes, as MetaIO writes it on every system."""
 
 
 def read(path: Path) -> Samples:
-    """The samples, in ITK's coordinates: x to the left, y to the back, z up, where a patient's.
+    """The samples in ITK's coordinates. For a patient, x is to the left, y to the back, z up.
 
-    Raises ValueError for anything that is no grid of numbers.
+    Raises ValueError if the file is not a grid of numbers.
     """
     raw = packed.content(path)
     fields, names, at = _header(raw)
     if fields.get("ndims") != "3" or fields.get("elementnumberofchannels", "1") != "1":
-        raise ValueError("it is no grid of three dimensions with one number a sample")
+        raise ValueError("it is not a grid of three dimensions with one number for each sample")
     shape = tuple(int(size) for size in fields["dimsize"].split())
     count = count_of(shape)
     kind = _TYPES.get(fields["elementtype"].upper())
@@ -52,15 +52,15 @@ def read(path: Path) -> Samples:
     origin = _numbers(_first(fields, "offset", "position", "origin") or "0 0 0", 3)
     spacing = _numbers(_first(fields, "elementspacing", "elementsize") or "1 1 1", 3)
     turned = _first(fields, "transformmatrix", "rotation", "orientation") or "1 0 0 0 1 0 0 0 1"
-    # Three numbers after the other are the direction of one axis of the samples.
+    # Each three successive numbers are the direction of one axis of the samples.
     axes = _numbers(turned, 9).reshape(3, 3).T
     return placed(flat.reshape(shape, order="F"), origin, axes * spacing)
 
 
 def files_beside(path: Path) -> list[Path]:
-    """The files that hold the data of the header at ``path``, if it can be read and names any.
+    """The files with the data of the header at ``path``, if it can be read and names any.
 
-    Raises OSError and what ``packed.beginning`` does.
+    Raises OSError, and the errors of ``packed.beginning``.
     """
     try:
         return [path.parent / name for name in _header(packed.beginning(path, HEADER))[1]]
@@ -69,8 +69,11 @@ def files_beside(path: Path) -> list[Path]:
 
 
 def _header(raw: bytes) -> tuple[dict[str, str], list[str], int]:
-    """The fields of a header by their names in lower case, the names of the files with the data,
-    if they are not behind it, and where these begin."""
+    """The fields of a header by name in lower case, the names of its data files, and where data
+    begin.
+
+    There are no names if the data follow the header in the same file.
+    """
     fields: dict[str, str] = {}
     at = 0
     while "elementdatafile" not in fields:

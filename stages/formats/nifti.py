@@ -1,4 +1,4 @@
-"""NIfTI: samples of one volume, by nibabel."""
+"""NIfTI: the samples of one volume, read with nibabel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from . import packed
 from .sample_grid import Samples, count_of, placed
 
 SECOND = 540
-"""Bytes of a header of NIfTI-2, which begins with this number."""
+"""Size of a NIfTI-2 header in bytes. Such a header begins with this number."""
 PLACELESS = (
     "the file does not say how its samples lie in space: their axes are taken for x, y and z, from "
     "the origin on"
@@ -19,14 +19,14 @@ PLACELESS = (
 
 
 def read(path: Path) -> Samples:
-    """The samples, in NIfTI's coordinates: x to the right, y to the front, z up.
+    """The samples in NIfTI's coordinates: x to the right, y to the front, z up.
 
-    Raises InputError for a damaged gzip file, ValueError for anything that is no volume.
+    Raises InputError if a gzip file is damaged, and ValueError if the file is not one volume.
     """
     import nibabel
 
     raw = packed.content(path)
-    # What nibabel mends in a header it also logs.
+    # nibabel logs every repair of a header.
     nibabel.imageglobals.logger.setLevel(logging.CRITICAL)
     second = raw[:4] in (SECOND.to_bytes(4, "little"), SECOND.to_bytes(4, "big"))
     kind = nibabel.Nifti2Image if second else nibabel.Nifti1Image
@@ -42,10 +42,10 @@ def read(path: Path) -> Samples:
         values = np.asanyarray(image.dataobj).reshape(shape)
         affine = np.asarray(image.affine, dtype=np.float64)
         if not (image.header["sform_code"] or image.header["qform_code"]):
-            # nibabel mirrors x here, which the format does not ask for.
+            # nibabel mirrors x here, which the format does not require.
             spacing = np.abs(np.asarray(image.header["pixdim"][1:4], dtype=np.float64))
             affine, notes = np.diag([*spacing.tolist(), 1.0]), (PLACELESS,)
-    # nibabel raises whatever the damaged bytes lead it to.
+    # On damaged files, nibabel raises exceptions of any kind.
     except Exception as error:
         raise ValueError(str(error) or type(error).__name__) from error
     if values.dtype.kind not in "fiub":

@@ -1,4 +1,4 @@
-"""NRRD: samples behind their header (.nrrd) or in files that it names (.nhdr)."""
+"""NRRD: samples after their header (.nrrd), or in files that the header names (.nhdr)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .sample_grid import Samples, count_of, placed
 
 ENDINGS = (".nrrd", ".nhdr")
 HEADER = 2**22
-"""Bytes that the header of a file may have."""
+"""Largest size of the header, in bytes."""
 _LIST = re.compile(rb"^data ?file:\s*LIST[^\n]*\n", re.MULTILINE)
 _TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
@@ -30,7 +30,10 @@ _TYPES = {
 
 
 def read(path: Path) -> Samples:
-    """The samples, raw, as text or by gzip. Raises ValueError and what pynrrd raises."""
+    """The samples, which may be raw, text, or compressed by gzip.
+
+    Raises ValueError, and the errors of pynrrd.
+    """
     raw = packed.content(path)
     header, names, body = _header(raw)
     shape = tuple(int(size) for size in header["sizes"])
@@ -57,20 +60,20 @@ def read(path: Path) -> Samples:
     origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=np.float64)
     axes: Any = header.get("space directions", header.get("spacings", np.ones(3)))
     axes = np.asarray(axes, dtype=np.float64)
-    # Row k is the direction of the samples' axis k.
+    # Row k is the direction of axis k of the samples.
     steps = np.diag(axes) if axes.shape == (3,) else axes.T
     return placed(flat.reshape(shape, order="F"), origin, steps)
 
 
 def files_beside(path: Path) -> list[Path]:
-    """The files that hold the data of the header at ``path``, if it can be read and names any.
+    """The files with the data of the header at ``path``, if it can be read and names any.
 
-    Raises OSError and what ``packed.beginning`` does.
+    Raises OSError, and the errors of ``packed.beginning``.
     """
     import nrrd
 
     try:
-        with np.errstate(all="ignore"):  # sizes that are no numbers are found where it is read
+        with np.errstate(all="ignore"):  # ``read`` finds sizes that are not numbers
             names = _header(packed.beginning(path, HEADER))[1]
     except (
         ValueError, KeyError, IndexError, TypeError, OverflowError, StopIteration, nrrd.NRRDError,
@@ -80,8 +83,8 @@ def files_beside(path: Path) -> list[Path]:
 
 
 def _header(raw: bytes) -> tuple[Any, list[str], bytes]:
-    """The fields of a header, the names of the files with the data if it has any, and what follows
-    it."""
+    """The fields of a header, the names of its data files if there are any,
+    and the bytes after it."""
     import nrrd
 
     ends = [(at, mark) for mark in (b"\n\n", b"\r\n\r\n") if (at := raw.find(mark)) >= 0]
@@ -106,5 +109,5 @@ def _header(raw: bytes) -> tuple[Any, list[str], bytes]:
     elif place:
         names = [place]
     elif not listed and not mark:
-        raise ValueError("it has no data behind its header, and names no file that has")
+        raise ValueError("it has no data after its header, and names no file with data")
     return header, names, body

@@ -9,8 +9,10 @@ from ..mesh.polygons import Ints
 
 
 def encode(vertices: NDArray[np.float32], triangles: Ints) -> bytes:
-    """The bytes of an OBJ of ``vertices (V, 3)`` and ``triangles (T, 3)``; nine digits keep 32-bit
-    coordinates exactly."""
+    """An OBJ file of ``vertices (V, 3)`` and ``triangles (T, 3)``.
+
+    Nine digits represent 32-bit coordinates exactly.
+    """
     rows = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
     rows += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
     return ("# vorolight, millimetres\n" + "\n".join(rows) + "\n").encode("ascii")

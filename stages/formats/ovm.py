@@ -1,4 +1,4 @@
-"""OVM: OpenVolumeMesh's text format of polyhedra."""
+"""OVM: polyhedra in the text format of OpenVolumeMesh."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from .text import lists, rows
 
 
 def encode(mesh: PolyhedralMesh) -> bytes:
-    """The OVM bytes of ``mesh``.
+    """``mesh`` as an OVM file.
 
-    Edge e is half-edge 2 e forwards and 2 e + 1 backwards, face f half-face 2 f and, seen from
-    behind, 2 f + 1. The half-faces of a cell face into it, as that library expects.
+    Edge e has the half-edges 2 e forwards and 2 e + 1 backwards. Face f has the half-faces 2 f and,
+    seen from behind, 2 f + 1. The half-faces of a cell face inward, as OpenVolumeMesh expects.
     """
     faces = mesh.faces
     keys, forward = edge_keys(faces)

@@ -1,4 +1,4 @@
-"""Files packed by gzip: what they hold, under the name that they have without .gz."""
+"""Files that are packed by gzip, which are treated as the file inside."""
 
 from __future__ import annotations
 
@@ -10,30 +10,29 @@ from ..errors import InputError
 
 PACKED = ".gz"
 MOST = 2**30 + 2**20
-"""Bytes that a packed file may hold: 512^3 numbers of eight bytes, and their header."""
+"""Largest size of a packed file's content in bytes: 512^3 numbers of eight bytes, and a header."""
 
 
 def is_packed(path: Path) -> bool:
-    """Whether the file at ``path`` is packed, by its name."""
+    """Whether the name of ``path`` ends in .gz."""
     return path.suffix.lower() == PACKED
 
 
 def ending(path: Path) -> str:
-    """The ending of the name of what is in a file, in lower case: .ply of ball.ply and of
-    ball.ply.gz."""
+    """The suffix of the content in lower case: .ply for ball.ply and for ball.ply.gz."""
     return (Path(path.stem) if is_packed(path) else path).suffix.lower()
 
 
 def stem(path: Path) -> str:
-    """The name of what is in a file without its ending: ball of ball.ply and of ball.ply.gz."""
+    """The name of the content without its suffix: ball for ball.ply and for ball.ply.gz."""
     return Path(path.stem).stem if is_packed(path) else path.stem
 
 
 def content(path: Path) -> bytes:
     """The bytes of a file, unpacked if it is packed.
 
-    Raises OSError when it cannot be read, InputError when it is no sound gzip file or holds more
-    than ``MOST`` bytes.
+    Raises OSError if it cannot be read, and InputError if it is a damaged gzip file or holds more
+    than MOST bytes.
     """
     if not is_packed(path):
         return path.read_bytes()
@@ -47,10 +46,8 @@ def content(path: Path) -> bytes:
 
 
 def beginning(path: Path, count: int) -> bytes:
-    """The first ``count`` bytes of ``content``, or all of them if there are fewer.
-
-    Raises what ``content`` does.
-    """
+    """The first ``count`` bytes of ``content``, or all if there are fewer.
+    Raises the same errors."""
     if is_packed(path):
         return _unpacked(path, count)
     with path.open("rb") as file:

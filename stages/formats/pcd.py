@@ -12,9 +12,9 @@ from .text_table import Table
 
 
 def read(path: Path) -> Table:
-    """The points with their normals, of text or binary data; what is packed is not read.
+    """The points and, if there are any, their normals, from text or binary data.
 
-    Raises ValueError and KeyError for damaged files.
+    Compressed data are not supported. Raises ValueError and KeyError for damaged files.
     """
     raw = packed.content(path)
     fields: dict[str, list[str]] = {}
@@ -35,7 +35,7 @@ def read(path: Path) -> Table:
         raise ValueError(f"its fields have sizes {' '.join(fields['SIZE'])}, not 1, 2, 4 or 8")
     kinds = {"F": "f", "I": "i", "U": "u"}
     if ("F", "1") in zip(fields["TYPE"], fields["SIZE"], strict=True):
-        raise ValueError("it has numbers with a point of one byte")
+        raise ValueError("it has floating-point numbers of one byte")
     layout = np.dtype(
         [
             (f"{name} {k}", f"<{kinds[kind]}{int(size)}", (count,))

@@ -1,4 +1,4 @@
-"""PLY: polygon surfaces, binary little-endian or as text out; any PLY of plain faces in."""
+"""PLY: writes polygon surfaces, binary or as text; reads PLY files with vertices and faces."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ def encode(
     face_data: Mapping[str, Floats] | None = None,
     colours: NDArray[np.uint8] | None = None,
 ) -> bytes:
-    """The PLY bytes of ``mesh``: double coordinates, int32 indices, optional float scalars and
-    ``colours (V, 3)``: red, green and blue.
+    """``mesh`` as a PLY file with double coordinates and int32 indices.
 
-    Faces of one size are binary. Those of several are text, to the last bit all the same, because
-    trimesh and readers like it take the size of a binary list from its first row.
+    There may be scalars for vertices and faces, and ``colours (V, 3)`` in red, green and blue.
+    Faces with one number of corners are written as little-endian binary. Otherwise the file is
+    text, with all digits, because trimesh and some other readers take the size of all binary lists
+    from the first one. Raises InputError if a face has more than 255 corners.
     """
     vertex_data, face_data = dict(vertex_data or {}), dict(face_data or {})
     even = mesh.face_count == 0 or bool((mesh.valences == mesh.valences[0]).all())
@@ -79,7 +80,8 @@ def _as_text(
     face_data: Mapping[str, Floats],
     colours: NDArray[np.uint8] | None,
 ) -> bytes:
-    """The lines of the vertices and of the faces; numbers read back are the same."""
+    """The lines of vertices and faces. All numbers have so many digits that they
+    are read back exactly."""
     columns = [mesh.vertices[:, axis].tolist() for axis in range(3)]
     columns += [np.asarray(values, np.float32).tolist() for values in vertex_data.values()]
     columns += [] if colours is None else [colours[:, k].tolist() for k in range(3)]
@@ -96,9 +98,9 @@ def _as_text(
 
 
 def _row_starts(first: int, following: Ints, count: int) -> Ints:
-    """Positions of ``count`` rows when row i starts at ``following[start of row i - 1]``.
+    """The starts of ``count`` rows, of which row i starts at ``following[start of row i - 1]``.
 
-    Pointer doubling: no loop over rows although each start depends on the one before.
+    Pointer doubling avoids a loop over rows, although each start depends on the one before.
     """
     starts = np.array([first], dtype=np.int64)
     jump = following
@@ -110,7 +112,8 @@ def _row_starts(first: int, following: Ints, count: int) -> Ints:
 
 
 def _ragged_faces(values: Ints, counts_at: Ints, width: int, count: int) -> tuple[Ints, Ints]:
-    """Offsets and first-index positions of ``count`` lists that lie one after the other."""
+    """Offsets of ``count`` lists that follow each other, and the positions
+    of their first entries."""
     length = len(values)
     following = np.minimum(np.arange(length) + 1 + width * counts_at, length - 1)
     starts = _row_starts(0, following, count)
@@ -124,7 +127,7 @@ def _ragged_faces(values: Ints, counts_at: Ints, width: int, count: int) -> tupl
 
 
 Element = tuple[str, int, list[list[str]]]
-"""Name, count and the words of each property."""
+"""The name, the count, and the words of each property of an element."""
 
 
 def _header(raw: bytes) -> tuple[str, list[Element], int]:
@@ -150,7 +153,8 @@ def _header(raw: bytes) -> tuple[str, list[Element], int]:
 def _columns(
     raw: bytes, kind: str, element: Element, at: int, wanted: tuple[str, ...]
 ) -> Floats | None:
-    """The properties ``wanted`` of the first element, ``(N, len(wanted))``, where it has them."""
+    """The properties ``wanted`` of the first element ``(N, len(wanted))``, or
+    None if it lacks some."""
     _, count, properties = element
     names = [p[1] for p in properties]
     if not set(wanted) <= set(names):
@@ -165,10 +169,10 @@ def _columns(
 
 
 def decode(raw: bytes) -> PolygonMesh | None:
-    """The polygons of a PLY, or None when its layout is not the plain one (vertices, then one
-    list of corners a face) that this reader keeps.
+    """The polygons of a PLY. None if it has more than vertices and one list of corners for each
+    face.
 
-    Raises ValueError for a damaged file.
+    Raises ValueError if the file is damaged.
     """
     kind, elements, at = _header(raw)
     if [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
@@ -205,9 +209,9 @@ def decode(raw: bytes) -> PolygonMesh | None:
 
 
 def decode_points(raw: bytes) -> tuple[Floats, Floats | None]:
-    """The vertices ``(N, 3)`` of a PLY and their normals, if it has any.
+    """The vertices ``(N, 3)`` of a PLY, and their normals if there are any.
 
-    Raises ValueError for a damaged file, KeyError for a property of unknown type.
+    Raises ValueError if the file is damaged, and KeyError if a property has an unknown type.
     """
     kind, elements, at = _header(raw)
     if not elements or elements[0][0] != "vertex":
@@ -221,8 +225,7 @@ def decode_points(raw: bytes) -> tuple[Floats, Floats | None]:
 
 
 def may_have_faces(start: bytes) -> bool:
-    """Whether the header at the ``start`` of a PLY promises faces, or strips of them, or is not to
-    be read."""
+    """Whether the header at the ``start`` of a PLY announces faces or strips, or cannot be read."""
     try:
         return any(name != "vertex" and count for name, count, _ in _header(start)[1])
     except ValueError:
@@ -230,5 +233,5 @@ def may_have_faces(start: bytes) -> bool:
 
 
 def read(path: Path) -> PolygonMesh | None:
-    """As ``decode``, from a file."""
+    """The same as ``decode``, for a file."""
     return decode(Path(path).read_bytes())

@@ -1,4 +1,4 @@
-"""OpenFOAM's polyMesh: points, faces, owner, neighbour and boundary, as text."""
+"""polyMesh of OpenFOAM: points, faces, owner, neighbour and boundary, as text."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ snGradSchemes { default corrected; }
 """,
     "fvSolution": "solvers { }\n",
 }
-"""Settings without which no OpenFOAM program starts, checkMesh included; a user replaces them."""
+"""Settings that every OpenFOAM program needs in order to start. A user replaces them."""
 
 
 def _header(kind: str, name: str, place: str, note: str = "") -> str:
-    # Owner files must have this note: readers take the numbers of cells and faces from it.
+    # Readers take the numbers of cells and faces from the note, which owner files must have.
     lines = ["version 2.0;", "format ascii;", f"class {kind};"]
     if note:
         lines.append(f'note "{note}";')
@@ -43,8 +43,10 @@ def _list(count: int, lines: str) -> str:
 
 
 def encode(mesh: PolyhedralMesh) -> dict[str, bytes]:
-    """Files of a case by path, ``constant/polyMesh/*`` and ``system/*``. Coordinates keep all their
-    digits; there is one patch, ``surface``."""
+    """The files of a case by path, in ``constant/polyMesh`` and ``system``.
+
+    Coordinates have all their digits. There is one patch, ``surface``.
+    """
     inner = int((mesh.neighbour >= 0).sum())
     faces, place = mesh.faces, "constant/polyMesh"
     note = (

@@ -1,4 +1,4 @@
-"""PTX: scans as text, each on a grid of directions and with a transform of its own."""
+"""PTX: scans as text, each with a grid of directions and a transform."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from . import packed
 from .text_table import Table, text_of
 
 HEAD = 10
-"""Lines of a scan above its points: columns, rows, the scanner's place and axes, the transform."""
+"""Number of lines before the points of a scan: columns, rows, position and axes of the
+scanner, and the transform."""
 MOST_SCANS = 10_000
 
 
 def read(path: Path) -> Table:
-    """The points of all scans, each multiplied by its transform; directions without an echo, which
-    are 0 0 0, are left out.
+    """The points of all scans, each multiplied by its transform.
 
-    Raises ValueError with what is wrong, in which line.
+    Directions without an echo are stored as 0 0 0 and left out. Raises ValueError with the line and
+    the fault.
     """
     lines = [line.strip() for line in text_of(packed.content(path)).splitlines()]
     while lines and not lines[-1]:
@@ -42,7 +43,7 @@ def read(path: Path) -> Table:
         points = _points(lines, begin, end)
         echo = (points != 0).any(axis=1)
         empty += int((~echo).sum())
-        # Rows are multiplied, so the shift is the last row.
+        # Points are rows, so that the translation is the last row of the transform.
         found.append(points[echo] @ transform[:3, :3] + transform[3, :3])
         at = end
     if not found:
@@ -52,7 +53,7 @@ def read(path: Path) -> Table:
 
 
 def _points(lines: list[str], begin: int, end: int) -> Floats:
-    """The first three numbers of these lines."""
+    """The first three numbers of each of these lines, ``(N, 3)``."""
     if begin == end:
         return np.zeros((0, 3))
     try:

@@ -1,4 +1,7 @@
-"""The file formats of polyhedral meshes, by name."""
+"""The file formats of polyhedral meshes, by name.
+
+To add a format, write a module with a function that encodes a mesh, and add a ``Format`` here.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ from . import ovm, ply, poly_mesh, tetrahedra, vtu
 
 @dataclass(frozen=True)
 class Volume:
-    """What is exported: cells, data by cell ``(C,)``, a point of each cell ``(C, 3)``."""
+    """What is exported: the cells, data for each cell ``(C,)``, and a point near
+    each cell ``(C, 3)``."""
 
     mesh: PolyhedralMesh
     data: Mapping[str, Any]
@@ -26,13 +30,14 @@ class Volume:
 
 @dataclass(frozen=True)
 class Format:
-    """The name of a format and how it is written."""
+    """A file format and the function that writes it."""
 
     suffix: str
-    """Suffix of its file; empty for a folder."""
+    """Suffix of the file; empty if the format is a folder."""
     about: str
     encode: Callable[[Volume], dict[str, bytes]]
-    """Bytes by path within the folder; a single file has the path ``""``."""
+    """A function that returns the bytes of each file by its path in the folder. A single
+    file has the path ``""``."""
 
 
 def _split(volume: Volume) -> tetrahedra.Split:
@@ -87,4 +92,4 @@ FORMATS: dict[str, Format] = {
     "ply": Format("ply", "the outer faces, also of a cut", _file(_ply)),
     "hdf5": Format("h5", "flat arrays", _file(_hdf5)),
 }
-"""The first format with a suffix is the default for files with that suffix."""
+"""The formats by name. If several have the same suffix, the first is the default for it."""

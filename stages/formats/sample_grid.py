@@ -1,4 +1,4 @@
-"""Samples on a grid in space, whose axes may be turned."""
+"""Samples on a grid in space, whose axes may be rotated."""
 
 from __future__ import annotations
 
@@ -12,35 +12,38 @@ from ..mesh.polygons import Floats
 from .arrays_file import LARGEST
 
 ROUNDING = 1e-6
-"""Share of an axis across those of space that is taken for rounding, since headers have so many
-digits."""
+"""Components of an axis that are smaller are taken as rounding, because headers have few digits."""
 FLAT = 1e-3
-"""Volume of the unit vectors along the axes from which on these span space."""
+"""Axes span space if the volume of their unit vectors is larger."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """``values (A, B, C)``; sample ``(i, j, k)`` is at ``origin + axes @ (spacing * (i, j, k))``,
-    where the columns of ``axes (3, 3)`` are unit vectors."""
+    """Samples ``values (A, B, C)`` on a grid.
+
+    Sample ``(i, j, k)`` is at ``origin + axes @ (spacing * (i, j, k))``. The columns of
+    ``axes (3, 3)`` are unit vectors.
+    """
 
     values: NDArray[Any]
     origin: Floats
     spacing: Floats
     axes: Floats = field(default_factory=lambda: np.eye(3))
     notes: tuple[str, ...] = ()
-    """What is to be said of how they were understood."""
+    """Sentences about assumptions that were made."""
 
 
 def placed(
     values: NDArray[Any], origin: Floats, steps: Floats, notes: tuple[str, ...] = ()
 ) -> Samples:
-    """The samples ``values (A, B, C)`` from ``origin (3,)`` on, where column k of ``steps (3, 3)``
-    leads to the next one along axis k. Axes along x, y and z are put in this order, upward.
+    """The samples ``values (A, B, C)`` whose first one is at ``origin (3,)``.
 
-    Raises ValueError where that is no grid in space.
+    Column k of ``steps (3, 3)`` leads from a sample to the next one along axis k. If the axes are
+    along x, y and z, they are put in this order and direction. Raises ValueError if that is not a
+    grid in space.
     """
     if values.ndim != 3 or origin.shape != (3,) or steps.shape != (3, 3):
-        raise ValueError("it is no grid of three dimensions")
+        raise ValueError("it is not a grid of three dimensions")
     spacing = np.linalg.norm(steps, axis=0)
     if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
         raise ValueError("its origin or its axes are not finite, or its spacing is zero")
@@ -61,7 +64,8 @@ def placed(
 
 
 def count_of(shape: tuple[int, ...]) -> int:
-    """The number of samples. Raises ValueError for impossible shapes."""
+    """The number of samples of a shape. Raises ValueError if the shape is
+    impossible or too large."""
     if len(shape) != 3 or min(shape) < 1:
         raise ValueError(f"its samples have shape {shape}")
     count = int(np.prod(np.array(shape, dtype=object)))

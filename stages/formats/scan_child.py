@@ -1,5 +1,7 @@
-"""Reading of scans by libraries that may end the process at damaged files: only the child process
-that this module becomes calls them."""
+"""Reads scans in a child process, because the libraries may end the process on damaged files.
+
+This module is both the parent's function and the program of the child.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,13 @@ from . import packed
 from .text_table import Table
 
 SECONDS = 300
+"""The time after which the child process is stopped."""
 
 
 def read(path: Path, module: str, libraries: tuple[str, ...]) -> Table:
-    """The points that ``points`` of the sibling ``module`` finds in the file at ``path``, and what
-    it says of them.
+    """The points that the function ``points`` of ``module`` reads from ``path``, and its note.
 
-    Raises BackendMissing where one of ``libraries`` is not installed, ValueError for files that
+    Raises BackendMissing if one of ``libraries`` is not installed, and ValueError if the file
     cannot be read.
     """
     for library in libraries:
@@ -49,8 +51,8 @@ def _points(given: Arrays) -> Arrays:
     reader = importlib.import_module(f".{given['module']}", __package__)
     try:
         points, note = reader.points(Path(str(given["path"])))
-    # The libraries raise whatever damaged bytes lead them to, lazrs what is no Exception, and
-    # pye57 hides the error behind others.
+    # On damaged files the libraries raise exceptions of any kind: those of lazrs do not derive from
+    # Exception, and pye57 hides the first error behind others.
     except BaseException as error:
         while error.__context__ is not None:
             error = error.__context__

@@ -1,4 +1,4 @@
-"""STL: binary triangles in millimetres."""
+"""STL: triangles in binary form, in millimetres."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..mesh.polygons import Ints
 
 
 def encode(vertices: NDArray[np.float32], triangles: Ints) -> bytes:
-    """The bytes of a binary STL of ``vertices (V, 3) float32`` and ``triangles (T, 3)``."""
+    """A binary STL of ``vertices (V, 3) float32`` and ``triangles (T, 3)``."""
     corners = vertices[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,5 +1,7 @@
-"""Tetrahedra of polyhedral cells, for solvers that cannot use polyhedra: MSH (Gmsh) and INP
-(Abaqus, CalculiX)."""
+"""Tetrahedra of polyhedral cells, for solvers without polyhedra.
+
+The formats are MSH (Gmsh) and INP (Abaqus, CalculiX).
+"""
 
 from __future__ import annotations
 
@@ -17,27 +19,29 @@ VOLUME, SURFACE = "volume", "surface"
 
 @dataclass(frozen=True)
 class Split:
-    """Every cell divided from its centroid to the triangles of its faces, which are fanned about
-    their centroids where they have more than three corners."""
+    """Cells that are divided into tetrahedra from their centroids to the triangles of their faces.
+
+    Faces with more than three corners become fans about their centroids.
+    """
 
     vertices: Floats
     tetrahedra: Ints
-    """``(T, 4)``, with positive volume if the cell is sound."""
+    """Corners ``(T, 4)``, with positive volume if the cell is sound."""
     cell: Ints
     """The cell of each tetrahedron, ``(T,)``."""
     boundary: Ints
-    """Triangles of the boundary ``(B, 3)``, seen from outside."""
+    """The triangles ``(B, 3)`` of the boundary, counter-clockwise from outside."""
     turned: int
-    """Number of tetrahedra without volume or with a negative one."""
+    """Number of tetrahedra with zero or negative volume."""
 
 
 def split(mesh: PolyhedralMesh, points: Floats) -> Split:
-    """Divide the cells of ``mesh``; ``points (C, 3)`` are near them."""
+    """The tetrahedra of ``mesh``. ``points (C, 3)`` lie near its cells."""
     vertices, triangles, cell = mesh.tetrahedra
     _, centroid = mesh.solids(points)
     volume = mesh.tetrahedron_volumes(centroid)
     apex = len(vertices) + cell
-    # Seen from outside the triangle turns left; seen from the centroid it turns right.
+    # A triangle is counter-clockwise seen from outside, and clockwise seen from the centroid.
     corners = np.column_stack([triangles[:, [0, 2, 1]], apex])
     order = np.argsort(cell, kind="stable")
     _, every, face = fan_triangles(mesh.faces)
@@ -51,7 +55,7 @@ def split(mesh: PolyhedralMesh, points: Floats) -> Split:
 
 
 def encode_msh(found: Split) -> bytes:
-    """Gmsh's MSH 2.2, as text: tetrahedra in the physical group ``volume``, the boundary's
+    """MSH 2.2 of Gmsh as text. Tetrahedra are in the physical group ``volume``, boundary
     triangles in ``surface``."""
     count, sides = len(found.tetrahedra), len(found.boundary)
     numbers = np.arange(1, count + sides + 1)
@@ -75,7 +79,8 @@ def encode_msh(found: Split) -> bytes:
 
 
 def encode_inp(found: Split) -> bytes:
-    """An INP deck's mesh: C3D4 elements in the set ``volume``, boundary nodes in ``surface``."""
+    """The mesh of an INP file: C3D4 elements in the set ``volume``, boundary
+    nodes in ``surface``."""
     nodes = np.unique(found.boundary) + 1
     numbered = np.column_stack([np.arange(1, len(found.tetrahedra) + 1), found.tetrahedra + 1])
     places = "\n".join(

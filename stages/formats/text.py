@@ -1,4 +1,4 @@
-"""Numbers as lines of text, all digits kept."""
+"""Numbers as lines of text, with all digits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ def rows(values: Floats | Ints, between: str = " ") -> str:
 
 
 def lists(offsets: Ints, values: Ints, between: str = " ", closing: str = "") -> str:
-    """One line for each slice ``values[offsets[i]:offsets[i + 1]]``: its length and its members."""
+    """One line for each slice ``values[offsets[i]:offsets[i + 1]]``: its
+    length, then its members."""
     words = list(map(str, values.tolist()))
     return "\n".join(
         f"{end - start}{between}{' '.join(words[start:end])}{closing}"

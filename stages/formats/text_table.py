@@ -1,4 +1,4 @@
-"""Points in a text file: which of its columns are their coordinates and normals."""
+"""Points in a text file: finds which columns are coordinates and normals."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from ..mesh.polygons import Floats
 
 LOOKED_AT = 200
-"""Rows that tell how the columns are apart and which hold numbers."""
+"""Number of rows from which the separator and the numeric columns are determined."""
 UNIT, UNIT_SHARE = 0.05, 0.9
-"""How far from 1 the length of a normal may be, and for what share of the rows."""
+"""Largest deviation of a normal's length from 1, and the share of rows for which it must hold."""
 OTHER_SCALE = 1000.0
-"""Times the size of both others from which a column without a name is no coordinate."""
+"""A column without a name is not a coordinate if it is so many times as large as both others."""
 SHOWN = 60
-"""Characters of a row that a message shows."""
+"""Number of characters of a row that a message shows."""
 MARKS = ("#", "//")
 DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?$")
 UNITS = re.compile(r"[\[(].*?[\])]")
@@ -38,33 +38,32 @@ NORMALS = tuple(
     | {f"normals:{number}", f"normals_{number}", f"normal:{number}"}
     for number, axis in enumerate("xyz")
 )
-"""What the columns of coordinates and of normals are called."""
+"""Names of the columns of coordinates and of normals."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Points ``(N, 3)``, their normals if the rows have any, and what is to be said of the columns
-    that were taken."""
+    """Points ``(N, 3)``, normals if there are any, and a note about the columns that were taken."""
 
     points: Floats
     normals: Floats | None
     note: str = ""
     columns: tuple[int, ...] = ()
-    """Those that were taken, counted from 1 on."""
+    """The columns that were taken, counted from 1."""
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the rows of a file are read."""
+    """How the rows of a file are divided into columns."""
 
     delimiter: str | None
-    """None for blanks."""
+    """The separator of columns; None for blanks."""
     decimal_comma: bool
     columns: int
     names: tuple[str, ...]
-    """Of the columns, if the file has them."""
+    """The names of the columns, if the file has them."""
     numeric: tuple[int, ...]
-    """Columns that hold numbers."""
+    """The columns that hold numbers."""
 
     def fields(self, line: str) -> list[str]:
         if self.decimal_comma:
@@ -73,10 +72,11 @@ class _Layout:
 
 
 def read(raw: bytes, columns: str | None = None) -> Table:
-    """The points in the text ``raw``; ``columns`` are the names or numbers, from 1 on, of those of
-    x, y, z and maybe of the normal, else they are found by name, or else by position.
+    """The points in the text ``raw``.
 
-    Raises ValueError with what is wrong, in which line.
+    ``columns`` has the names or numbers, from 1, of the columns of x, y, z and possibly of the
+    normal. Without it they are found by name, or else by position. Raises ValueError with the line
+    and the fault.
     """
     lines = text_of(raw).splitlines()
     kept: list[tuple[int, str]] = []
@@ -107,7 +107,8 @@ def read(raw: bytes, columns: str | None = None) -> Table:
 
 
 def are_normals(vectors: Floats) -> bool:
-    """Whether the last three of six columns ``(N, 3)``, which are as often colours, are normals."""
+    """Whether ``vectors (N, 3)`` are unit vectors. After coordinates, columns
+    are as often colours."""
     length = np.linalg.norm(vectors, axis=1)
     return len(length) > 0 and bool((np.abs(length - 1) < UNIT).mean() > UNIT_SHARE)
 
@@ -121,7 +122,7 @@ def text_of(raw: bytes) -> str:
         if raw.startswith(mark):
             return raw.decode(coding, errors="replace")
     if b"\0" in raw:
-        # Of ASCII in UTF-16 every second byte is zero.
+        # In UTF-16, every second byte of an ASCII character is zero.
         for first, coding in ((1, "utf-16-le"), (0, "utf-16-be")):
             if not any(raw[first::2]):
                 return raw.decode(coding, errors="replace")
@@ -130,7 +131,7 @@ def text_of(raw: bytes) -> str:
 
 
 def _without_counts(rows: list[tuple[int, str]]) -> list[tuple[int, str]]:
-    """Without the lines of a PTS between its clouds that say how many points the next one has."""
+    """The rows without those lines of a PTS that say how many points its next cloud has."""
     counts = [k for k, (_, line) in enumerate(rows) if line.isascii() and line.isdigit()]
     if all(int(rows[k][1]) == end - k - 1 for k, end in pairwise([*counts, len(rows)])):
         left_out = set(counts)
@@ -139,7 +140,8 @@ def _without_counts(rows: list[tuple[int, str]]) -> list[tuple[int, str]]:
 
 
 def _layout(lines: list[str], heads: list[str]) -> tuple[int, _Layout]:
-    """Where the rows begin among ``lines``, and how they are read; ``heads`` are comments above."""
+    """The index of the first row among ``lines``, and the layout. ``heads``
+    are comments above it."""
     sample = list(islice(reversed(lines), LOOKED_AT))
     for delimiter, comma in _ways(sample):
         way = _Layout(delimiter, comma, 0, (), ())
@@ -161,7 +163,7 @@ def _layout(lines: list[str], heads: list[str]) -> tuple[int, _Layout]:
         for number, head in enumerate([*heads, *lines[:begin]]):
             fields = tuple(UNITS.sub("", field).strip().lower() for field in way.fields(head))
             words = not all(map(_is_number, filter(None, fields)))
-            # A comment may be any sentence.
+            # A comment may be any sentence, so that it need not have names of columns.
             if number < len(heads):
                 words = min(_named(fields)[:3]) >= 0
             if len(fields) >= count and words:
@@ -171,8 +173,10 @@ def _layout(lines: list[str], heads: list[str]) -> tuple[int, _Layout]:
 
 
 def _ways(sample: list[str]) -> list[tuple[str | None, bool]]:
-    """How the rows of ``sample`` may be divided, the likeliest first: by what, and whether a comma
-    stands for the decimal point."""
+    """The possible separators of the rows in ``sample``, and whether commas are decimal points.
+
+    The most likely one comes first.
+    """
     text = "\n".join(sample)
     words = [word for line in sample for word in line.split()]
     commas = [word for word in words if DECIMAL_COMMA.match(word)]
@@ -195,7 +199,7 @@ def _is_number(field: str) -> bool:
 
 
 def _chosen(layout: _Layout, columns: str | None) -> tuple[int, ...]:
-    """The columns of coordinates, or of coordinates and normals."""
+    """The columns of the coordinates and, if there are any, of the normals."""
     if columns is not None:
         wanted = [name.strip().lower() for name in columns.split(",")]
         if len(wanted) not in (3, 6):
@@ -226,14 +230,15 @@ def _chosen(layout: _Layout, columns: str | None) -> tuple[int, ...]:
 
 
 def _named(names: tuple[str, ...]) -> list[int]:
-    """The columns with the names of x, y, z and of the normal; -1 for each that there is not."""
+    """The columns with the names of x, y, z and of the normal; -1 for a name that is missing."""
     return [
         next((k for k, name in enumerate(names) if name in axis), -1) for axis in AXES + NORMALS
     ]
 
 
 def _plausible(table: Floats, layout: _Layout, found: tuple[int, ...]) -> str:
-    """What is said of columns taken for their position; ValueError where they are none."""
+    """A note about columns that were chosen by position. Raises ValueError if
+    they are not coordinates."""
     if len(layout.numeric) == 3:
         return ""
     other = "say which are x, y and z, as in --columns 2,3,4"
@@ -254,7 +259,7 @@ def _plausible(table: Floats, layout: _Layout, found: tuple[int, ...]) -> str:
 
 
 def _numbers(rows: list[tuple[int, str]], layout: _Layout, columns: tuple[int, ...]) -> Floats:
-    """These columns of all rows, ``(N, len(columns))``."""
+    """The values of these columns in all rows, ``(N, len(columns))``."""
     lines = [line.replace(",", ".") for _, line in rows] if layout.decimal_comma else [
         line for _, line in rows
     ]  # fmt: skip

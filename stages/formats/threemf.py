@@ -1,5 +1,7 @@
-"""3MF by lib3mf: bodies in millimetres, written with a title, the same bytes for the same content,
-and read."""
+"""3MF, read and written with lib3mf: bodies in millimetres, with a title.
+
+The same content always gives the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +19,17 @@ from ..errors import NumericalFailure
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The oldest date that a ZIP archive can hold, in place of today's."""
+"""The earliest date that a ZIP archive can hold. It replaces the present date."""
 MILLIMETRES = (0.001, 1.0, 10.0, 25.4, 304.8, 1000.0)
-"""Of micrometre, millimetre, centimetre, inch, foot and metre, as lib3mf numbers them."""
+"""Length in mm of the units as lib3mf numbers them: micrometre, millimetre,
+centimetre, inch, foot, metre."""
 DEEPEST, MOST_BODIES = 16, 100_000
-"""Components within components, and meshes that a file may build."""
+"""Largest depth of components within components, and largest number of meshes in a file."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """A body to print: ``vertices (V, 3) float32`` in mm, ``triangles (T, 3)``."""
+    """A body to print, with ``vertices (V, 3) float32`` in mm and ``triangles (T, 3)``."""
 
     name: str
     vertices: NDArray[np.float32]
@@ -34,9 +37,9 @@ class Body:
 
 
 def encode(bodies: list[Body], title: str, application: str) -> bytes:
-    """The bytes of a 3MF file of ``bodies``.
+    """A 3MF file of ``bodies``.
 
-    Raises NumericalFailure when lib3mf says of one that it is not manifold and oriented.
+    Raises NumericalFailure if lib3mf finds that one is not manifold and oriented.
     """
     import lib3mf
 
@@ -51,7 +54,7 @@ def encode(bodies: list[Body], title: str, application: str) -> bytes:
         digest.update(body.vertices.tobytes() + body.triangles.tobytes())
 
     def identifier(role: str) -> str:
-        # 3MF asks for unique identifiers; from the content they are also the same each time.
+        # 3MF needs unique identifiers. Hashes of the content are the same each time.
         return str(uuid.UUID(bytes=hashlib.sha256(digest.digest() + role.encode()).digest()[:16]))
 
     model.SetBuildUUID(identifier("build"))
@@ -70,8 +73,10 @@ def encode(bodies: list[Body], title: str, application: str) -> bytes:
 
 
 def decode(raw: bytes) -> PolygonMesh:
-    """The triangles of all that a 3MF file builds, in millimetres, its objects and their components
-    each in its place. Raises ValueError for what lib3mf cannot read."""
+    """The triangles of all objects that a 3MF file builds, at their places, in millimetres.
+
+    Components are included. Raises ValueError if lib3mf cannot read the file.
+    """
     import lib3mf
 
     vertices: list[Floats] = [np.zeros((0, 3))]
@@ -85,7 +90,7 @@ def decode(raw: bytes) -> PolygonMesh:
         if item.IsMeshObject():
             at = np.frombuffer(b"".join(item.GetVertices()), np.float32).reshape(-1, 3)
             corners = np.frombuffer(b"".join(item.GetTriangleIndices()), np.uint32).reshape(-1, 3)
-            # A mirrored component would be inside out.
+            # Otherwise a mirrored component would be inside out.
             way = 1 if np.linalg.det(place[:3]) > 0 else -1
             vertices.append(at @ place[:3] + place[3])
             triangles.append(corners.astype(np.int64)[:, ::way] + found)
@@ -111,7 +116,8 @@ def decode(raw: bytes) -> PolygonMesh:
 
 
 def _placement(transform: Any) -> Floats:
-    """As ``(4, 3)``: three rows that a point is multiplied by, and what is added."""
+    """The transform as ``(4, 3)``: three rows by which a point is
+    multiplied, and the translation."""
     return np.array([list(row) for row in transform.Fields], dtype=np.float64)
 
 
@@ -128,7 +134,7 @@ def _triangles(lib3mf: Any, triangles: Ints) -> Any:
 
 
 def _undated(data: bytes) -> bytes:
-    """The archive with all its dates set to EPOCH."""
+    """The archive with all dates replaced by EPOCH."""
     target = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(target, "w") as new:
         for entry in old.infolist():
@@ -139,9 +145,9 @@ def _undated(data: bytes) -> bytes:
 
 
 def read(data: bytes) -> list[Body]:
-    """The bodies of a 3MF file, by lib3mf in strict mode, placed as its build says.
+    """The bodies of a 3MF file at their places, read in lib3mf's strict mode.
 
-    Raises ValueError for a file with warnings.
+    Raises ValueError if there are warnings.
     """
     import lib3mf
 
@@ -169,5 +175,5 @@ def read(data: bytes) -> list[Body]:
 
 
 def _records(found: Any, kind: Any) -> NDArray[Any]:
-    """lib3mf's list of structures of three numbers as ``(N, 3)``."""
+    """A list of lib3mf's structures of three numbers as an array ``(N, 3)``."""
     return np.frombuffer(b"".join(map(bytes, found)), dtype=kind).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""VTI: samples as VTK's image data."""
+"""VTI: samples on a grid, as image data of VTK."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ _TYPES = {
 
 
 def read(path: Path) -> Samples:
-    """The first scalars at the points of VTK image data, in whatever encoding. Raises ValueError
-    and what the parsers of XML and zlib raise."""
+    """The first scalars at the points of VTK image data, in any of its encodings.
+
+    Raises ValueError, and the errors of the parsers of XML and zlib.
+    """
     raw = packed.content(path)
     text, mark, appended = raw.partition(b"<AppendedData")
     encoding = ""
@@ -76,7 +78,8 @@ def read(path: Path) -> Samples:
 def _bytes(
     source: bytes, coded: bool, header: np.dtype[Any], compressed: str | None, most: int
 ) -> bytes:
-    """The bytes of a data array: after their number, or as compressed blocks after their sizes."""
+    """The bytes of a data array. They follow their number or, if compressed, the
+    sizes of their blocks."""
 
     def take(start: int, size: int) -> tuple[bytes, int]:
         """``size`` bytes from position ``start`` of the source, and the position after them."""
@@ -87,7 +90,7 @@ def _bytes(
 
     width = header.itemsize
     if compressed is None:
-        # The number and the bytes are one string of base64.
+        # In base64 the number and the bytes are encoded together.
         size = int(np.frombuffer(take(0, width)[0], header)[0])
         return take(0, width + min(size, most))[0][width:]
     blocks, usual, rest = (int(n) for n in np.frombuffer(take(0, 3 * width)[0], header))

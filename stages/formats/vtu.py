@@ -1,4 +1,4 @@
-"""VTU: polyhedral cells, or tetrahedra, for ParaView and other VTK readers."""
+"""VTU: polyhedral cells or tetrahedra, for ParaView and other programs that use VTK."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TETRAHEDRON, POLYHEDRON = 10, 42
 
 
 def _streams(mesh: PolyhedralMesh) -> tuple[Ints, Ints, Ints, Ints]:
-    """VTK's ``faces`` stream and its offsets, ``connectivity`` and its offsets."""
+    """VTK's ``faces`` and their offsets, and ``connectivity`` and its offsets."""
     valence = mesh.faces.valences
     count = len(mesh.cell_generator)
     faces = np.arange(len(valence))
@@ -32,7 +32,7 @@ def _streams(mesh: PolyhedralMesh) -> tuple[Ints, Ints, Ints, Ints]:
     starts = face_offsets - cell_length
     stream[starts] = per_cell
     before = np.cumsum(size + 1) - (size + 1)
-    at = before + half_cell + 1  # one count per cell up to and with this one
+    at = before + half_cell + 1  # there is one count for each cell up to this one
     stream[at] = size
     row = np.repeat(np.arange(len(half_face)), size)
     within = np.arange(len(row)) - np.repeat(np.cumsum(size) - size, size)
@@ -46,7 +46,7 @@ def _streams(mesh: PolyhedralMesh) -> tuple[Ints, Ints, Ints, Ints]:
 
 
 def encode(mesh: PolyhedralMesh, cell_data: Mapping[str, Floats | Ints]) -> bytes:
-    """The VTU bytes of ``mesh``; ``cell_data`` maps names to arrays ``(C,)``."""
+    """``mesh`` as a VTU file. ``cell_data`` maps names to arrays ``(C,)``."""
     stream, face_offsets, connectivity, offsets = _streams(mesh)
     cells = {
         "connectivity": connectivity,
@@ -61,7 +61,7 @@ def encode(mesh: PolyhedralMesh, cell_data: Mapping[str, Floats | Ints]) -> byte
 def encode_tetrahedra(
     vertices: Floats, tetrahedra: Ints, cell_data: Mapping[str, Floats | Ints]
 ) -> bytes:
-    """The VTU bytes of ``tetrahedra (T, 4)``; ``cell_data`` maps names to arrays ``(T,)``."""
+    """``tetrahedra (T, 4)`` as a VTU file. ``cell_data`` maps names to arrays ``(T,)``."""
     count = len(tetrahedra)
     cells = {
         "connectivity": tetrahedra.reshape(-1),

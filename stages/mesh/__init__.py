@@ -1,1 +1,1 @@
-"""Polygon and triangle meshes, and grids of voxels: data, and what follows from it alone."""
+"""Polygon meshes, triangle meshes, polyhedral meshes and voxels, and what is computed from them."""

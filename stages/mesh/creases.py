@@ -1,4 +1,7 @@
-"""Creases of the true surface, and the edges of a triangulation that lie on them."""
+"""Creases of the true surface, and the edges of a triangulation that lie on them.
+
+A vertex has a rank: it is free, on a crease, or at a corner, where creases end.
+"""
 
 from __future__ import annotations
 
@@ -13,37 +16,39 @@ from .geometry import triangle_normals
 from .polygons import Floats, Ints
 
 FREE, CREASE, CORNER = 0, 1, 2
-"""Ranks of vertices."""
+"""The ranks of vertices."""
 NEAR = 1.0
-"""How far, in target lengths, vertices may be from the crease that they are drawn to."""
+"""Largest distance between a vertex and the crease that it is moved to, in target lengths."""
 DETOUR = 50.0
-"""What a way along edges costs more, per squared distance from the crease in target lengths."""
+"""Weight in the cost of an edge of its squared distance from the crease, in target lengths."""
 PARTS = 64
-"""Points of an edge at which its distance from a crease is taken."""
+"""Number of points of an edge at which its distance from a crease is measured."""
 DENSE = 0.1
-"""Distance between the points that stand for a crease, in units of h0."""
+"""Distance between the sample points of a crease, in units of h0."""
 FLAT = 0.01
-"""Height of a triangle over its longest edge below which it has no area."""
+"""A triangle counts as flat if its height divided by its longest edge is less."""
 EAR = 0.5
-"""Height in target lengths of a triangle that a crease goes around, from which on it is no ear."""
+"""A triangle with two edges on a crease is an ear if its height, in target lengths, is less."""
 APART = 1e5
-"""What takes chains apart in the fourth dimension, in units of h0; more than any shape's size."""
+"""Distance in units of h0 by which chains are separated in a fourth dimension, so that one tree
+finds the closest point of a given chain. It is larger than any shape."""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A crease between two corners, or a closed one: its points in order, ``(N, 3)``."""
+    """A crease between two corners, or a closed crease. ``points (N, 3)`` are in order."""
 
     points: Floats
     closed: bool
 
     @property
     def length(self) -> float:
+        """Length of the chain, in the unit of its points."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
 
 class Creases:
-    """The creases of a surface, in model units; corners are where chains end."""
+    """The creases of a surface, in model units."""
 
     def __init__(self, chains: list[Chain]) -> None:
         from scipy.spatial import cKDTree
@@ -67,14 +72,17 @@ class Creases:
         self.trees: Any = cKDTree(np.column_stack([self.dense, APART * self.chain]))
 
     def closest(self, at: Floats, chain: Ints | None = None) -> tuple[Floats, Floats]:
-        """The closest points ``(N, 3)`` on the creases, or on the given ``chain (N,)`` each, and
-        the unit tangents there."""
+        """The closest points ``(N, 3)`` on the creases to ``at (N, 3)``, and the unit tangents
+        there.
+
+        With ``chain (N,)``, each point is sought on the chain with that number only.
+        """
         near = [k + 1 for k in range(min(4, len(self.owner)))]
         if chain is None:
             _, found = self.tree.query(at, near)
         else:
             _, found = self.trees.query(np.column_stack([at, APART * chain]), near)
-            # Of a chain of few points the nearest one stands for the rest.
+            # A chain may have fewer points than are sought; its nearest one replaces the others.
             found = np.where(self.chain[found] == chain[:, None], found, found[:, :1])
         best, foot, way = np.full(len(at), np.inf), np.zeros_like(at), np.zeros_like(at)
         for column in range(found.shape[1]):
@@ -91,20 +99,24 @@ class Creases:
 
     @property
     def corners(self) -> Floats:
+        """The ends ``(C, 3)`` of all open chains, each once."""
         ends = [chain.points[[0, -1]] for chain in self.chains if not chain.closed]
         return np.unique(np.concatenate(ends), axis=0) if ends else np.zeros((0, 3))
 
 
 def drawn_on(mesh: Sized, creases: Creases) -> None:
-    """Move the vertices of a crease onto it; corners stay."""
+    """Move the vertices on creases to the closest points of their chains. Corners stay."""
     row = np.flatnonzero(mesh.rank == CREASE)
     mesh.vertices = mesh.vertices.copy()
     mesh.vertices[row] = creases.closest(mesh.vertices[row], mesh.chains()[row])[0]
 
 
 def cut_ears(mesh: Sized) -> int:
-    """Lead creases that go around a triangle along its third edge: on a crease that is straight
-    there such a triangle has no area. Returns their number."""
+    """Replace the two crease edges of each ear by its third edge; return the number of ears.
+
+    An ear is a triangle with two edges on one crease. Where the crease is straight, an ear would
+    have no area.
+    """
     done = 0
     while len(mesh.creases):
         corners = mesh.triangles
@@ -119,7 +131,7 @@ def cut_ears(mesh: Sized) -> int:
         height = np.linalg.norm(np.cross(base, side), axis=1) / reach
         ear = (mesh.rank[tip] == CREASE) & (height < EAR * mesh.length[tip])
         row, off, tip = (values[ear] for values in (row, off, tip))
-        # Of ears beside each other one at a time.
+        # Ears that share a vertex are cut one at a time.
         first = np.full(len(mesh.vertices), len(row))
         np.minimum.at(first, corners[row].reshape(-1), np.repeat(np.arange(len(row)), 3))
         alone = (first[corners[row]] == np.arange(len(row))[:, None]).all(axis=1)
@@ -137,8 +149,10 @@ def cut_ears(mesh: Sized) -> int:
 
 
 def give_up_flat(mesh: Sized) -> int:
-    """Take the creases from the corners of triangles between them that have no area, which nothing
-    else could give them; returns how many triangles there are."""
+    """Free the crease vertices of flat triangles whose corners all lie on creases.
+
+    No other edit gives such triangles an area. Returns the number of these triangles.
+    """
     flat = (_heights(mesh) < FLAT) & (mesh.rank[mesh.triangles] > FREE).all(axis=1)
     freed = np.unique(mesh.triangles[flat])
     give_up(mesh, freed[mesh.rank[freed] == CREASE])
@@ -146,7 +160,7 @@ def give_up_flat(mesh: Sized) -> int:
 
 
 def give_up(mesh: Sized, freed: Ints) -> None:
-    """Let the vertices ``freed`` go from their creases, and the edges between."""
+    """Remove the vertices ``freed (K,)``, and the edges at them, from the creases."""
     mesh.rank = mesh.rank.copy()
     mesh.rank[freed] = FREE
     mesh.creases = mesh.creases[~np.isin(mesh.creases[:, :2], freed).any(axis=1)]
@@ -154,7 +168,7 @@ def give_up(mesh: Sized, freed: Ints) -> None:
 
 
 def _heights(mesh: Sized) -> Floats:
-    """Least height of each triangle, over its longest edge."""
+    """The least height of each triangle, divided by its longest edge, ``(T,)``."""
     corners = mesh.vertices[mesh.triangles]
     _, area = triangle_normals(mesh.vertices, mesh.triangles)
     longest = ((corners - corners[:, [1, 2, 0]]) ** 2).sum(axis=2).max(axis=1)
@@ -162,8 +176,10 @@ def _heights(mesh: Sized) -> Floats:
 
 
 def embed(mesh: Sized, creases: Creases) -> int:
-    """Find ways along the edges of ``mesh`` that follow the creases, mark their edges and vertices
-    and move them there. Returns the number of chains for which there is no such way."""
+    """Find a path along edges of ``mesh`` for each crease, mark it, and move its vertices there.
+
+    Returns the number of chains without such a path.
+    """
     from scipy.spatial import cKDTree
 
     table = EdgeTable.of(mesh.triangles)
@@ -220,8 +236,11 @@ def embed(mesh: Sized, creases: Creases) -> int:
 
 
 def _way(ends: Ints, cost: Floats, stops: list[int], rank: Ints) -> list[int]:
-    """The cheapest way along edges through all ``stops`` in order that meets no vertex twice, and
-    none of a rank; empty if there is none."""
+    """The path of least cost along edges ``ends (E, 2)`` through all ``stops`` in order.
+
+    It meets no vertex twice, and no vertex that already lies on a crease. It is empty if there is
+    none.
+    """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -243,8 +262,11 @@ def _way(ends: Ints, cost: Floats, stops: list[int], rank: Ints) -> list[int]:
 
 
 def deviation(creases: Creases, vertices: Floats, rank: Ints, edges: Ints) -> dict[str, float]:
-    """How far vertices and ``edges (K, 3)`` on creases are from these, in units of h0, and the
-    creases from the edges."""
+    """Distances between the creases and the ``edges (K, 3)`` on them, in units of h0.
+
+    They are measured both ways: from vertices and edges to the creases, and from these to the
+    edges.
+    """
     from scipy.spatial import cKDTree
 
     on = vertices[rank > FREE]

@@ -1,4 +1,4 @@
-"""The dual of a closed surface: one polygon a vertex, one corner a face."""
+"""The dual of a closed surface: each vertex becomes a polygon, each face a corner."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from .polygons import PolygonMesh
 
 
 def dual(mesh: PolygonMesh) -> PolygonMesh:
-    """Face v joins the centroids of the faces around vertex v of ``mesh``, in order.
+    """The polygons that join the centroids of the faces around each vertex of ``mesh``, in order.
 
-    Vertices that no face uses give no polygon. Raises ValueError when the surface is not closed or
-    the faces at a vertex are not one fan.
+    Face v belongs to vertex v; vertices that no face uses have no polygon. Raises ValueError if the
+    surface is not closed, or if the faces at a vertex do not form one fan.
     """
     _, _, centroid = face_frames(mesh)
     count = mesh.vertex_count
@@ -40,7 +40,7 @@ def dual(mesh: PolygonMesh) -> PolygonMesh:
         more = valence > step
         rings[offsets[1:][more] - 1 - step] = face[here[more]]
         here = clockwise[here]
-        # A fan comes round after as many steps as the vertex has faces, and not before.
+        # In one fan the start is met again after as many steps as there are faces, no sooner.
         if ((here == corner[used]) != (valence == step + 1))[more].any():
             raise ValueError("the faces at a vertex are not one fan")
     return PolygonMesh(centroid, offsets, rings)

@@ -15,8 +15,9 @@ from .polygons import Floats, Ints
 class EdgeTable:
     """The edges of a closed triangle surface.
 
-    ``ends (E, 2)``: the first triangle has the edge from ends[0] to ends[1], the second the other
-    way round. ``triangles (E, 2)`` and their third corners ``opposite (E, 2)``.
+    ``ends (E, 2)`` are vertices: the first of the two ``triangles (E, 2)`` of an edge has it from
+    ends[0] to ends[1], the second from ends[1] to ends[0]. ``opposite (E, 2)`` are the third
+    corners of these triangles.
     """
 
     ends: Ints
@@ -25,13 +26,16 @@ class EdgeTable:
 
     @classmethod
     def of(cls, triangles: Ints) -> EdgeTable:
-        """The table. Raises ValueError unless every edge is in two triangles, once each way."""
+        """The table of ``triangles (T, 3)``.
+
+        Raises ValueError unless each edge is in two triangles, once in each direction.
+        """
         count = len(triangles)
         start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
         third = triangles[:, [2, 0, 1]].reshape(-1)
         span = int(triangles.max()) + 1 if count else 1
         key = np.minimum(start, end) * span + np.maximum(start, end)
-        # Within an edge the half-edge that goes up comes first.
+        # Of the two half-edges of an edge, the one from the smaller index comes first.
         order = np.argsort(2 * key + (start > end)).reshape(-1)
         if len(order) % 2:
             raise ValueError("the surface is not closed")
@@ -47,16 +51,17 @@ class EdgeTable:
         )
 
     def rows(self, chosen: NDArray[np.bool_]) -> EdgeTable:
-        """The edges ``chosen (E,)``."""
+        """The table of the edges ``chosen (E,)``."""
         return EdgeTable(self.ends[chosen], self.triangles[chosen], self.opposite[chosen])
 
     def lengths(self, vertices: Floats) -> Floats:
+        """Lengths ``(E,)`` of the edges of ``vertices (V, 3)``."""
         return np.asarray(
             np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
         )
 
     def mean_of_neighbours(self, values: Floats) -> Floats:
-        """Of ``values (V,)`` or ``(V, k)`` at the vertices, the means over their neighbours."""
+        """The mean of ``values (V,)`` or ``(V, k)`` over the neighbours of each vertex."""
         start, end = np.concatenate([self.ends, self.ends[:, ::-1]]).T
         count = np.maximum(np.bincount(start, minlength=len(values)), 1)
         flat = values.reshape(len(values), -1)
@@ -66,20 +71,26 @@ class EdgeTable:
 
 @dataclass
 class Sized:
-    """Triangles with a target length at every vertex; the operations replace the arrays."""
+    """Triangles with a target edge length at every vertex, ``length (V,)``.
+
+    The operations of remeshing replace these arrays.
+    """
 
     vertices: Floats
     triangles: Ints
     length: Floats
     carried: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Further values of the vertices ``(V, k)`` that go with them through the operations."""
+    """Further values ``(V, k)`` of the vertices, which the operations
+    interpolate for new vertices."""
 
     rank: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    """0 for a vertex that is free, 1 on a crease, 2 at a corner, ``(V,)``."""
+    """The rank ``(V,)`` of each vertex: 0 if it is free, 1 on a crease, 2 at a corner."""
     creases: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    """The edges that lie on creases: their ends and the number of their chain, ``(K, 3)``."""
+    """The edges on creases ``(K, 3)``: their two ends, and the number of their chain."""
     metric: Callable[[Floats], Floats] | None = None
-    """The metric ``(N, 3, 3)`` at points in which edges are to have their target lengths."""
+    """A function that gives the metric ``(N, 3, 3)`` at points ``(N, 3)``. The length
+    of an edge that is compared with the target length is measured in this metric; None
+    is the Euclidean one."""
 
     def __post_init__(self) -> None:
         if len(self.rank) != len(self.vertices):
@@ -93,14 +104,14 @@ class Sized:
         return np.isin(np.sort(ends, axis=1) @ span, np.sort(self.creases[:, :2], axis=1) @ span)
 
     def chains(self) -> Ints:
-        """The chain ``(V,)`` that a vertex on a crease belongs to; one of several at a corner, -1
-        for others."""
+        """The chain ``(V,)`` of each vertex on a crease, -1 for others. A corner
+        has one of its chains."""
         number = np.full(len(self.vertices), -1)
         number[self.creases[:, :2]] = self.creases[:, 2:]
         return number
 
     def edge_target(self, ends: Ints) -> Floats:
-        """The lengths ``(E,)`` that edges of these directions are to have."""
+        """The target lengths ``(E,)`` of edges ``ends (E, 2)``, as Euclidean lengths."""
         target = np.asarray(self.length[ends].mean(axis=1))
         if self.metric is None:
             return target

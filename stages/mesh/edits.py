@@ -1,4 +1,4 @@
-"""Topology edits on polygon meshes: contracted edges, thinned rings."""
+"""Changes of the topology of polygon meshes: contracted edges, and rings without repeats."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from .topology import edges
 
 
 def reduce_rings(mesh: PolygonMesh, target: Ints) -> tuple[PolygonMesh, NDArray[np.bool_]]:
-    """Rings over ``target (V,)`` (-1 leaves the ring) without repeats and spikes.
+    """Replace each vertex by ``target (V,)``, and remove repeats and spikes from the rings.
 
-    Faces left with fewer than three corners go; the second value tells which stay, ``(F,)``.
+    A target of -1 removes the vertex. Faces with fewer than three corners are dropped. The second
+    value says which faces stay, ``(F,)``.
     """
     corners, faces = target[mesh.face_vertices], mesh.corner_faces
     corners, faces = corners[corners >= 0], faces[corners >= 0]
@@ -26,7 +27,7 @@ def reduce_rings(mesh: PolygonMesh, target: Ints) -> tuple[PolygonMesh, NDArray[
         before = np.empty_like(following)
         before[following] = np.arange(len(corners))
         repeated = corners == corners[following]
-        # A spike a-b-a: b goes now, the then repeated a in the next pass.
+        # Of a spike a-b-a, this pass removes b, and the next one removes the repeated a.
         spike = (corners[before] == corners[following]) & (counts[faces] > 2) & ~repeated
         spike &= ~repeated[before] & ~spike[before]
         drop = repeated | spike
@@ -42,9 +43,9 @@ def reduce_rings(mesh: PolygonMesh, target: Ints) -> tuple[PolygonMesh, NDArray[
 def contract_short_edges(
     mesh: PolygonMesh, tolerance: float, movable: NDArray[np.bool_] | None = None
 ) -> Ints:
-    """Representative ``(V,)`` of each vertex when edges shorter than ``tolerance`` contract.
+    """The vertex ``(V,)`` that replaces each vertex when edges shorter than ``tolerance`` contract.
 
-    Only edges with both ends ``movable`` do (default: all).
+    Only edges with both ends ``movable (V,)`` contract; the default is all.
     """
     ends = edges(mesh)
     length = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)

@@ -1,6 +1,7 @@
-"""Face frames as torch tensors, for losses: the differentiable twin of ``geometry.face_frames``.
+"""Areas, normals and centroids of faces as torch tensors, for losses.
 
-Rows are gathered with ``index_select``: the gradient of plain indexing is several times slower.
+``geometry`` computes the same with numpy. Rows are gathered with ``index_select``, because the
+gradient of plain indexing takes several times as long.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from .topology import face_neighbours
 
 @dataclass(frozen=True)
 class Connectivity:
-    """The index arrays of a polygon mesh as tensors; built once per topology."""
+    """The index arrays of a polygon mesh as tensors. They are made once for each topology."""
 
     face_count: int
     corner_faces: torch.Tensor
@@ -23,10 +24,12 @@ class Connectivity:
     following: torch.Tensor
     valences: torch.Tensor
     neighbours: torch.Tensor
-    """Pairs of faces that share an edge, both orders, ``(P, 2)``."""
+    """The pairs of faces that share an edge, in both orders, ``(P, 2)``."""
 
     @classmethod
     def of(cls, mesh: PolygonMesh, device: str = "cpu") -> Connectivity:
+        """The connectivity of ``mesh`` on ``device``."""
+
         def tensor(array: object) -> torch.Tensor:
             return torch.as_tensor(array, device=device)
 
@@ -40,12 +43,12 @@ class Connectivity:
         )
 
     def face_sum(self, values: torch.Tensor) -> torch.Tensor:
-        """Sum of corner values ``(sum, ...)`` per face ``(F, ...)``."""
+        """The sum ``(F, ...)`` over each face of values at its corners, ``(sum, ...)``."""
         result = values.new_zeros(self.face_count, *values.shape[1:])
         return result.index_add(0, self.corner_faces, values)
 
     def neighbour_mean(self, values: torch.Tensor) -> torch.Tensor:
-        """Mean of face values ``(F, k)`` over the edge neighbours of each face."""
+        """The mean of face values ``(F, k)`` over the neighbours of each face."""
         face, other = self.neighbours[:, 0], self.neighbours[:, 1]
         total = torch.zeros_like(values).index_add(0, face, values.index_select(0, other))
         count = torch.bincount(face, minlength=self.face_count).clamp(min=1)
@@ -54,17 +57,18 @@ class Connectivity:
 
 @dataclass(frozen=True)
 class Frames:
-    """Area ``(F,)``, unit normal ``(F, 3)``, area centroid ``(F, 3)`` and fan-triangle centres."""
+    """Area ``(F,)``, unit normal ``(F, 3)`` and area centroid ``(F, 3)`` of each face."""
 
     area: torch.Tensor
     normal: torch.Tensor
     centroid: torch.Tensor
     fan_centres: torch.Tensor
-    """Centres of the triangles (centroid, corner, next corner), ``(sum, 3)``."""
+    """Centroids ``(sum, 3)`` of the triangles (face centroid, corner, next corner)."""
 
 
 def face_frames(vertices: torch.Tensor, connectivity: Connectivity) -> Frames:
-    """Frames of all faces over ``vertices (V, 3)``; see ``geometry.face_frames``."""
+    """The frames of all faces with ``vertices (V, 3)``, as
+    ``geometry.face_frames`` defines them."""
     tiny = torch.finfo(vertices.dtype).tiny
     here = vertices.index_select(0, connectivity.corners)
     following = vertices.index_select(0, connectivity.following)

@@ -1,4 +1,7 @@
-"""Areas, normals, centroids and samples of polygon meshes (numpy; for gradients see ``frames``)."""
+"""Areas, normals, centroids and samples of polygon meshes, with numpy.
+
+``frames`` computes areas, normals and centroids with gradients.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from .polygons import Floats, Ints, PolygonMesh
 
 
 def face_sums(mesh: PolygonMesh, corner_values: Floats) -> Floats:
-    """Sum of ``corner_values (sum, ...)`` over the corners of each face, ``(F, ...)``."""
+    """The sum ``(F, ...)`` over each face of ``corner_values (sum, ...)`` at its corners."""
     sums = np.zeros((mesh.face_count, *corner_values.shape[1:]))
     occupied = np.flatnonzero(mesh.valences > 0)
     if len(occupied):
@@ -19,9 +22,10 @@ def face_sums(mesh: PolygonMesh, corner_values: Floats) -> Floats:
 def face_frames(mesh: PolygonMesh) -> tuple[Floats, Floats, Floats]:
     """Area ``(F,)``, unit normal ``(F, 3)`` and area centroid ``(F, 3)`` of each face.
 
-    Every face is fanned about the mean of its corners: the vector area does not depend on the apex,
-    and the centroid weighs each fan triangle by its area along the face normal, so that clusters of
-    nearly equal vertices do not pull it. A face without area gets the mean and a zero normal.
+    Each face is divided into a fan of triangles about the mean of its corners. The vector area does
+    not depend on that point. The centroid weighs each triangle by its area along the face normal,
+    so that clusters of nearly equal vertices do not pull it. A face without area gets the mean of
+    its corners and a zero normal.
     """
     corners = mesh.vertices[mesh.face_vertices]
     apex = face_sums(mesh, corners) / np.maximum(mesh.valences, 1)[:, None]
@@ -41,10 +45,10 @@ def face_frames(mesh: PolygonMesh) -> tuple[Floats, Floats, Floats]:
 
 
 def fan_triangles(mesh: PolygonMesh) -> tuple[Floats, Ints, Ints]:
-    """Triangles of every face: ``(vertices, triangles (T, 3), face of each triangle (T,))``.
+    """Triangles of all faces: ``(vertices, triangles (T, 3), face of each triangle (T,))``.
 
-    Triangles stay as they are; larger faces are fanned about their centroid, which is appended to
-    the vertices (this is the subdivision of the paper's appendix).
+    Triangles stay as they are. Larger faces become fans about their centroids, which are appended
+    to the vertices (the paper's triangle-face relaxation, section 3.3).
     """
     _, _, centroid = face_frames(mesh)
     large = mesh.valences > 3
@@ -65,7 +69,7 @@ def fan_triangles(mesh: PolygonMesh) -> tuple[Floats, Ints, Ints]:
 
 
 def triangle_normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
-    """Unit normals ``(T, 3)`` and areas ``(T,)``; a triangle without area gets a zero normal."""
+    """Unit normals ``(T, 3)`` and areas ``(T,)``. A triangle without area has a zero normal."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     size = np.linalg.norm(cross, axis=1)
@@ -73,18 +77,22 @@ def triangle_normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]
 
 
 def triangle_areas(vertices: Floats, triangles: Ints) -> Floats:
+    """Areas ``(T,)`` of the triangles."""
     return triangle_normals(vertices, triangles)[1]
 
 
 def enclosed_volume(vertices: Floats, triangles: Ints) -> float:
-    """Signed volume inside a closed triangle surface, positive for outward normals."""
+    """The signed volume inside a closed triangle surface, positive if its normals point outward."""
     origin = vertices.mean(axis=0)
     a, b, c = (vertices[triangles[:, k]] - origin for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def component_volumes(mesh: PolygonMesh, component: Ints, count: int) -> Floats:
-    """Signed volume enclosed by each component ``(count,)``; a cavity's is negative."""
+    """The signed volume ``(count,)`` inside each component, negative for a cavity.
+
+    ``component (F,)`` is the component of each face.
+    """
     area, normal, centroid = face_frames(mesh)
     height = np.einsum("ij,ij->i", centroid - mesh.vertices.mean(axis=0), normal)
     return np.asarray(np.bincount(component, area * height / 3, minlength=count), np.float64)
@@ -93,7 +101,7 @@ def component_volumes(mesh: PolygonMesh, component: Ints, count: int) -> Floats:
 def sample_triangles(
     vertices: Floats, triangles: Ints, count: int, random: np.random.Generator
 ) -> tuple[Floats, Ints]:
-    """``count`` points uniform by area ``(count, 3)``, and the triangle of each ``(count,)``."""
+    """``count`` random points ``(count, 3)``, uniform by area, and their triangles ``(count,)``."""
     cumulative = np.cumsum(triangle_areas(vertices, triangles))
     chosen = np.searchsorted(cumulative, random.random(count) * cumulative[-1], side="right")
     chosen = np.minimum(chosen, len(triangles) - 1)
@@ -104,7 +112,8 @@ def sample_triangles(
 
 
 def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
-    """Unit area-weighted means of incident triangle normals ``(V, 3)`` (appendix B.2)."""
+    """Unit vertex normals ``(V, 3)``: the area-weighted mean of the triangles'
+    normals (appendix B.2)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
     total = np.zeros_like(vertices)
@@ -117,6 +126,6 @@ def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
 
 
 def limited(vectors: Floats, most: Floats | float) -> Floats:
-    """``vectors (N, 3)``, none longer than ``most``."""
+    """``vectors (N, 3)``, of which those longer than ``most`` are shortened to it."""
     size = np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)
     return np.asarray(vectors * np.minimum(1.0, most / size)[:, None])

@@ -1,4 +1,4 @@
-"""Graphs given by pairs of their nodes."""
+"""Connected components of graphs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from .polygons import Ints
 
 
 def components(count: int, pairs: Ints) -> tuple[int, Ints]:
-    """How many connected components ``count`` nodes have that are joined by ``pairs (P, 2)``, and
-    the component of each node ``(count,)``, in the order of their first nodes."""
+    """The number of connected components of ``count`` nodes that ``pairs (P, 2)`` join.
+
+    The second value is the component of each node ``(count,)``. Components are numbered in the
+    order of their first nodes.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""The polygon mesh: flat arrays, faces in compressed-row form."""
+"""The polygon mesh: flat arrays, with the faces in compressed-row form."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ARRAYS = ("vertices", "face_offsets", "face_vertices")
-"""Names of a mesh's arrays, in files as in memory."""
+"""The names of a mesh's arrays, in HDF5 files as in memory."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class PolygonMesh:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any], prefix: str = "") -> PolygonMesh:
-        """The polygons stored under ``prefix`` in an HDF5 file."""
+        """The mesh that ``as_arrays`` stored under ``prefix``."""
         return cls(*(arrays[prefix + name] for name in ARRAYS))
 
     def as_arrays(self, prefix: str = "") -> dict[str, Any]:
-        """The arrays to store under ``prefix``."""
+        """The arrays of the mesh by name, each name with ``prefix`` before it."""
         return {prefix + name: getattr(self, name) for name in ARRAYS}
 
     @property
@@ -55,7 +55,7 @@ class PolygonMesh:
 
     @cached_property
     def valences(self) -> Ints:
-        """Corners of each face, ``(F,)``."""
+        """The number of corners of each face, ``(F,)``."""
         return np.diff(self.face_offsets)
 
     @cached_property
@@ -77,13 +77,14 @@ class PolygonMesh:
         return self.face_vertices[self.next_corners]
 
     def with_vertices(self, vertices: Floats) -> PolygonMesh:
-        """The same faces over other positions ``(V, 3)``."""
+        """The same faces with other ``vertices (V, 3)``."""
         return PolygonMesh(
             np.ascontiguousarray(vertices, dtype=np.float64), self.face_offsets, self.face_vertices
         )
 
     def without_unused_vertices(self) -> PolygonMesh:
-        """The same faces; vertices that no face uses are dropped, order kept."""
+        """The same faces without the vertices that no face uses. The order
+        of the others is kept."""
         used = np.zeros(self.vertex_count, dtype=bool)
         used[self.face_vertices] = True
         if used.all():
@@ -92,6 +93,6 @@ class PolygonMesh:
         return PolygonMesh(self.vertices[used], self.face_offsets, renumber[self.face_vertices])
 
     def select_faces(self, keep: NDArray[np.bool_]) -> PolygonMesh:
-        """The faces for which ``keep (F,)`` is true, over the same vertices."""
+        """The faces for which ``keep (F,)`` is true, with all vertices."""
         offsets = np.concatenate([[0], np.cumsum(self.valences[keep])]).astype(np.int64)
         return PolygonMesh(self.vertices, offsets, self.face_vertices[keep[self.corner_faces]])

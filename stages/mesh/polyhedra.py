@@ -1,4 +1,4 @@
-"""Cells with shared faces: the polyhedral mesh."""
+"""The polyhedral mesh: cells with shared faces."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from .polygons import Floats, Ints, PolygonMesh
 
 @dataclass(frozen=True)
 class PolyhedralMesh:
-    """Cells with shared faces; a face's normal points from its owner to its neighbour.
+    """Cells with shared faces. The normal of a face points from its owner to its neighbour.
 
-    Faces between two cells come first, sorted by owner and neighbour (owner the smaller); then
-    those of the surface in its order. The surface's vertices are the first ones, in its order.
+    Faces between two cells come first, sorted by owner and then neighbour; the owner has the
+    smaller index. The faces of the surface follow in the surface's order. The vertices of the
+    surface come before all other vertices, in the surface's order.
     """
 
     faces: PolygonMesh
     owner: Ints
-    """Cell that each face's normal points away from, ``(F,)``."""
+    """The cell that each face's normal points away from, ``(F,)``."""
     neighbour: Ints
-    """Cell on the other side ``(F,)``, -1 on the boundary."""
+    """The cell on the other side of each face ``(F,)``, -1 on the boundary."""
     cell_generator: Ints
-    """Generator of each cell ``(C,)``, ascending."""
+    """The generator of each cell ``(C,)``, ascending."""
     surface_vertices: int
-    """Number of vertices that are vertices of the surface."""
+    """The number of vertices that belong to the surface."""
 
     @property
     def cell_count(self) -> int:
@@ -39,8 +40,11 @@ class PolyhedralMesh:
 
     @cached_property
     def half_faces(self) -> tuple[Ints, Ints, NDArray[np.bool_]]:
-        """Each face once for each of its cells: face, cell, and whether its corners must be
-        reversed to be counter-clockwise from outside the cell. Sorted by cell, then face."""
+        """Face, cell, and reversal ``(H,)`` of each face of each cell, sorted by cell, then face.
+
+        A face between two cells appears twice. The reversal says whether its corners must be
+        reversed to be counter-clockwise seen from outside the cell.
+        """
         inner = np.flatnonzero(self.neighbour >= 0)
         face = np.concatenate([np.arange(self.faces.face_count), inner])
         cell = np.concatenate([self.owner, self.neighbour[inner]])
@@ -50,19 +54,20 @@ class PolyhedralMesh:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Any]) -> PolyhedralMesh:
-        """The cells that stage volume wrote."""
+        """The mesh of the arrays that the volume stage wrote."""
         faces, neighbour = PolygonMesh.from_arrays(arrays), arrays["face_neighbour"]
         surface = faces.select_faces(neighbour < 0).face_vertices
         count = 1 + int(surface.max(initial=-1))
         return cls(faces, arrays["face_owner"], neighbour, arrays["cell_generator"], count)
 
     def select_cells(self, keep: NDArray[np.bool_]) -> PolyhedralMesh:
-        """The cells for which ``keep (C,)`` is true; faces towards others become boundary."""
+        """The cells for which ``keep (C,)`` is true. Their faces towards other
+        cells become boundary."""
         owner, beyond = keep[self.owner], (self.neighbour >= 0) & keep[self.neighbour]
         number = np.append(np.cumsum(keep) - 1, -1)
         number[:-1][~keep] = -1
         inner = self.faces.select_faces(owner & beyond)
-        # The surface's own faces come first, then the faces of the cut, turned outward.
+        # Faces of the old surface come first, then the new boundary faces, turned outward.
         parts = [
             self.faces.select_faces(owner & (self.neighbour < 0)),
             self.faces.select_faces(owner & (self.neighbour >= 0) & ~beyond),
@@ -76,7 +81,7 @@ class PolyhedralMesh:
         both = owner & beyond
         corners = np.concatenate([part.face_vertices for part in parts])
         sizes = np.concatenate([part.valences for part in parts])
-        # Vertices of the new boundary come first, in their order.
+        # As the class promises, vertices of the new boundary come first.
         first = np.zeros(self.faces.vertex_count, dtype=bool)
         first[corners] = True
         order = np.concatenate([np.flatnonzero(first), np.flatnonzero(~first)])
@@ -92,28 +97,28 @@ class PolyhedralMesh:
         )  # fmt: skip
 
     def with_vertices(self, vertices: Floats) -> PolyhedralMesh:
-        """The same cells over other positions ``(V, 3)``."""
+        """The same cells with other ``vertices (V, 3)``."""
         return replace(self, faces=self.faces.with_vertices(vertices))
 
     @property
     def body_count(self) -> int:
-        """Sets of cells that no faces connect."""
+        """The number of connected sets of cells."""
         inner = self.neighbour >= 0
         pairs = np.stack([self.owner[inner], self.neighbour[inner]], axis=1)
         return components(self.cell_count, pairs)[0]
 
     @property
     def boundary(self) -> PolygonMesh:
-        """The faces of one cell only, over all vertices."""
+        """The faces that only one cell has, with all vertices."""
         return self.faces.select_faces(self.neighbour < 0)
 
     @cached_property
     def tetrahedra(self) -> tuple[Floats, Ints, Ints]:
-        """Vertices ``(V + F', 3)``, triangles ``(T, 3)`` of all faces seen from outside of a cell,
-        and the cell ``(T,)`` of each: with a point of the cell each gives a tetrahedron.
+        """The parts of tetrahedra that do not depend on the choice of an apex in each cell.
 
-        Faces with more than three corners are fanned about their centroids, which are appended to
-        the vertices.
+        Returns vertices ``(V + F', 3)``, the triangles ``(T, 3)`` of all faces of all cells, seen
+        from outside, and the cell ``(T,)`` of each triangle. Faces with more than three corners
+        become fans about their centroids, which are appended to the vertices.
         """
         vertices, triangles, face = fan_triangles(self.faces)
         back = np.flatnonzero(self.neighbour[face] >= 0)
@@ -124,16 +129,18 @@ class PolyhedralMesh:
         )
 
     def tetrahedron_volumes(self, apexes: Floats) -> Floats:
-        """Volumes of the tetrahedra from ``apexes (C, 3)``, a point of each cell, to its
-        triangles."""
+        """The volumes ``(T,)`` of the tetrahedra with ``apexes (C, 3)``, one in each cell."""
         vertices, triangles, cell = self.tetrahedra
         apex = apexes[cell]
         a, b, c = (vertices[triangles[:, k]] - apex for k in range(3))
         return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6)
 
     def solids(self, points: Floats) -> tuple[Floats, Floats]:
-        """Volume ``(C,)`` and centroid ``(C, 3)`` of each cell, its faces fanned about their
-        centroids. ``points (C, 3)`` are near the cells, to keep the sums small."""
+        """Volume ``(C,)`` and centroid ``(C, 3)`` of each cell.
+
+        Faces become fans about their centroids. ``points (C, 3)`` should lie near the cells:
+        coordinates relative to them keep the rounding errors small.
+        """
         vertices, triangles, cell = self.tetrahedra
         each = self.tetrahedron_volumes(points)
         volume = np.bincount(cell, each, minlength=self.cell_count).astype(np.float64)
@@ -147,7 +154,7 @@ class PolyhedralMesh:
 
 
 def _turned(mesh: PolygonMesh) -> PolygonMesh:
-    """The faces in reverse order of their corners, each beginning at the same corner."""
+    """The faces with their corners in reverse order. Each begins at the same corner as before."""
     starts, face = mesh.face_offsets[:-1], mesh.corner_faces
     within = np.arange(len(face)) - starts[face]
     back = starts[face] + (mesh.valences[face] - within) % mesh.valences[face]
@@ -162,6 +169,11 @@ def assembled(
     surface_owner: Ints,
     cell_generator: Ints,
 ) -> PolyhedralMesh:
+    """The mesh of ``inner`` faces between two cells and the faces of the ``surface``.
+
+    The two meshes number the same vertices, those of the surface first. ``owner`` and ``neighbour``
+    belong to the inner faces, ``surface_owner`` to those of the surface.
+    """
     order = np.lexsort([neighbour, owner])
     starts, length = inner.face_offsets[:-1][order], inner.valences[order]
     offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)

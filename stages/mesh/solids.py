@@ -12,7 +12,11 @@ from .polygons import PolygonMesh
 
 
 def solid_of(surface: PolygonMesh) -> Any:
-    """The inside of a closed surface as a body. Raises NumericalFailure if it is none."""
+    """The solid inside a closed surface.
+
+    Raises NumericalFailure if manifold3d accepts no solid, because the surface is not closed or is
+    empty.
+    """
     from manifold3d import Manifold, Mesh64
 
     vertices, triangles, _ = fan_triangles(surface)

@@ -1,4 +1,4 @@
-"""Spheres at the surface vertices: where they start, and which targets they may intrude on."""
+"""Spheres at the vertices of a surface: their first radii, and generators that may lie in them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ AT_ONCE = 20_000
 
 
 def initial_spheres(mesh: PolygonMesh) -> tuple[Floats, Floats]:
-    """Radii ``(V,)`` and offsets ``(F,)`` to start from (paper, section 3.3).
+    """Radii ``(V,)`` and offsets ``(F,)`` at the start of the training (paper, section 3.3).
 
-    ``r_v`` is the mean distance from a vertex to the centroids of its faces, ``delta_f`` the square
-    root of the face's area.
+    ``r_v`` is the mean distance of vertex v from the centroids of its faces. ``delta_f`` is the
+    square root of the area of face f.
     """
     area, _, centroid = face_frames(mesh)
     reach = np.linalg.norm(mesh.vertices[mesh.face_vertices] - centroid[mesh.corner_faces], axis=1)

@@ -1,4 +1,4 @@
-"""Triangles divided until no edge is longer than asked, their surface unchanged."""
+"""Division of triangles until no edge is longer than a limit. The surface does not change."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ import numpy as np
 from .polygons import Floats, Ints
 
 ROUNDS = 24
-"""Halvings of an edge, at the most."""
+"""Largest number of times that an edge is halved."""
 
 
 def subdivided(
     vertices: Floats, triangles: Ints, longest: float, most: int
 ) -> tuple[Floats, Ints] | None:
-    """``vertices (V, 3)`` and ``triangles (T, 3)`` with every edge over ``longest`` halved until
-    none is; neighbours stay neighbours. None when that takes more than ``most`` vertices.
+    """``vertices (V, 3)`` and ``triangles (T, 3)`` with no edge longer than ``longest``.
+
+    Longer edges are halved, in both of their triangles, until none is left. Returns None if that
+    takes more than ``most`` vertices.
     """
     for _ in range(ROUNDS):
         ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=2)
@@ -34,9 +36,10 @@ def subdivided(
 
 
 def _divided(triangles: Ints, middle: Ints) -> Ints:
-    """``triangles`` cut at ``middle (T, 3)``: the vertex on the edge after each corner, or -1."""
+    """The triangles, divided at ``middle (T, 3)``: the new vertex on the edge
+    after each corner, or -1."""
     count = (middle >= 0).sum(axis=1)
-    # With one middle it comes first; with two the edge without one comes last.
+    # Corners are rotated: a single middle comes first; of two, the edge without one comes last.
     turn = np.where(count == 1, (middle >= 0).argmax(axis=1), (middle < 0).argmax(axis=1) + 1)
     order = (np.where(np.isin(count, (1, 2)), turn, 0)[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles, order, axis=1).T

@@ -1,4 +1,4 @@
-"""Edges, neighbours, components and closedness of polygon meshes."""
+"""Edges, neighbours, components, closedness and Euler number of polygon meshes."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from .polygons import Ints, PolygonMesh
 
 
 def edge_keys(mesh: PolygonMesh) -> tuple[Ints, NDArray[np.bool_]]:
-    """For each corner the undirected edge to the next corner as one integer, and its direction."""
+    """The undirected edge from each corner to the next one, as one integer, and whether it goes
+    from the smaller to the larger index."""
     start, end = mesh.face_vertices, mesh.next_vertices
     keys = np.minimum(start, end) * mesh.vertex_count + np.maximum(start, end)
     return keys, start < end
 
 
 def edges(mesh: PolygonMesh) -> Ints:
-    """The undirected edges, ``(E, 2)``, smaller index first, sorted."""
+    """The undirected edges ``(E, 2)``, sorted, with the smaller index first."""
     keys = np.unique(edge_keys(mesh)[0])
     return np.stack(np.divmod(keys, max(mesh.vertex_count, 1)), axis=1)
 
 
 OPEN, CROWDED, TURNED = 1, 2, 3
-"""What is wrong with an edge: it is in one face only; in more than two, or from a vertex to itself;
-in two faces that go along it the same way."""
+"""Faults of an edge. OPEN: it is in one face only. CROWDED: it is in more than two faces, or joins
+a vertex to itself. TURNED: it is in two faces that have it in the same direction."""
 
 
 def edge_faults(mesh: PolygonMesh) -> tuple[Ints, Ints]:
-    """The undirected edges ``(E, 2)``, and what is wrong with each ``(E,)``, 0 for nothing."""
+    """The undirected edges ``(E, 2)``, and the fault of each ``(E,)``, 0 for none."""
     keys, forward = edge_keys(mesh)
     unique, inverse = np.unique(keys, return_inverse=True)
     uses = np.bincount(inverse, minlength=len(unique))
@@ -43,13 +44,13 @@ def edge_faults(mesh: PolygonMesh) -> tuple[Ints, Ints]:
 
 
 def bad_edges(mesh: PolygonMesh) -> Ints:
-    """Edges ``(B, 2)`` that are not in exactly two faces with opposite directions."""
+    """The edges ``(B, 2)`` that are not in exactly two faces with opposite directions."""
     found, fault = edge_faults(mesh)
     return found[fault > 0]
 
 
 def face_neighbours(mesh: PolygonMesh) -> Ints:
-    """Pairs of faces that share an edge, both orders, ``(P, 2)``."""
+    """The pairs of faces that share an edge, in both orders, ``(P, 2)``."""
     keys, _ = edge_keys(mesh)
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
@@ -59,15 +60,17 @@ def face_neighbours(mesh: PolygonMesh) -> Ints:
 
 
 def face_components(mesh: PolygonMesh) -> tuple[int, Ints]:
-    """Number of edge-connected components, and the component of each face ``(F,)``."""
+    """The number of components that share edges, and the component of each face ``(F,)``."""
     return components(mesh.face_count, face_neighbours(mesh))
 
 
 def corner_fans(mesh: PolygonMesh) -> tuple[int, Ints]:
-    """Number of fans, and the fan of each corner ``(sum,)``: corners at one vertex are of one fan
-    when a way around it leads from one to the other across edges."""
-    # Corners are the nodes: two are joined when they sit at the same vertex on both sides of an
-    # edge. The number of joined groups at a vertex is its number of fans.
+    """The number of fans, and the fan of each corner ``(sum,)``.
+
+    A fan is a set of faces around a vertex in which each is reached from the others across edges.
+    """
+    # In this graph the nodes are corners. Two are joined if they are at the same vertex, on the two
+    # sides of an edge. Each connected component is a fan.
     count = len(mesh.face_vertices)
     corner = np.arange(count)
     keys, _ = edge_keys(mesh)
@@ -84,7 +87,7 @@ def corner_fans(mesh: PolygonMesh) -> tuple[int, Ints]:
 
 
 def pinched_vertices(mesh: PolygonMesh) -> Ints:
-    """Vertices whose faces do not form one fan."""
+    """The vertices whose faces do not form one fan."""
     _, group = corner_fans(mesh)
     pairs = np.unique(np.stack([mesh.face_vertices, group], axis=1), axis=0)
     fans = np.bincount(pairs[:, 0], minlength=mesh.vertex_count)
@@ -92,7 +95,7 @@ def pinched_vertices(mesh: PolygonMesh) -> Ints:
 
 
 def split_pinched(mesh: PolygonMesh) -> PolygonMesh:
-    """The same faces with a vertex of its own for every fan; vertices no face uses are dropped."""
+    """The same faces with a copy of the vertex for each fan, and without unused vertices."""
     fans, group = corner_fans(mesh)
     vertex = np.zeros(fans, dtype=np.int64)
     vertex[group] = mesh.face_vertices
@@ -101,7 +104,7 @@ def split_pinched(mesh: PolygonMesh) -> PolygonMesh:
 
 @dataclass(frozen=True)
 class Topology:
-    """What a surface is, combinatorially."""
+    """Counts that describe a surface. ``closed`` and ``euler_number`` follow from them."""
 
     vertices: int
     edges: int
@@ -113,12 +116,15 @@ class Topology:
 
     @property
     def closed(self) -> bool:
-        """Every edge in exactly two faces with opposite directions."""
+        """Whether each edge is in exactly two faces, with opposite directions."""
         return self.faces > 0 and self.bad_edges == 0
 
 
 def topology(mesh: PolygonMesh) -> Topology:
-    """Counts over the vertices that faces use; Euler number V - E + F."""
+    """The topology of ``mesh``. Vertices that no face uses are not counted.
+
+    The Euler number is V - E + F: 2 for a sphere, 0 for a torus.
+    """
     vertex_count = len(np.unique(mesh.face_vertices))
     edge_count = len(edges(mesh))
     return Topology(

@@ -1,4 +1,4 @@
-"""Triangles of flat regions within closed loops."""
+"""Triangulation of flat regions that closed loops bound."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from .geometry import face_frames
 from .polygons import Floats, Ints, PolygonMesh
 
 FLAT = 0.1
-"""Largest distance of a corner from the plane of its loop, over the loop's extent."""
+"""Largest distance of a corner from the plane of its loop, divided by the size of the loop."""
 EXACT = 1e-6
-"""Relative error of the area of a triangulated region."""
+"""Largest relative error of the area of a triangulated region."""
 
 
 def loop_polygons(vertices: Floats, loops: list[Ints]) -> PolygonMesh:
-    """The ``loops`` as polygons."""
+    """The ``loops`` of vertices as polygons."""
     offsets = np.cumsum([0, *(len(loop) for loop in loops)])
     return PolygonMesh(vertices, offsets.astype(np.int64), np.concatenate(loops))
 
 
 def triangulated(vertices: Floats, loops: list[Ints], normal: Floats) -> Ints | None:
-    """Triangles of the region within ``loops``, seen along ``normal (3,)``; None where they are not
-    flat or have no inside."""
+    """Triangles ``(T, 3)`` of the region that ``loops`` bound, seen along ``normal (3,)``.
+
+    None if the loops are not flat or enclose no area.
+    """
     from manifold3d import triangulate
 
     corners = np.concatenate(loops)

@@ -1,1 +1,1 @@
-"""Figures and checks of surfaces and cells."""
+"""Metrics and checks of surfaces and of cells."""

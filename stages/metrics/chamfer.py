@@ -1,4 +1,4 @@
-"""Chamfer distance and F1 between two sample sets (paper's appendix B.1)."""
+"""Chamfer distance and F1 between two sets of samples (paper, appendix B.1)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from ..mesh.polygons import Floats
 
 @dataclass(frozen=True)
 class ChamferResult:
-    """Squared bidirectional Chamfer distance and F1, in the frame the points were given in."""
+    """Squared Chamfer distance in both directions, and F1, in the frame of the points."""
 
     cd2: float
     f1: float
     precision: float
     recall: float
     sampling_floor: float
-    """The value for two independent samplings of one surface: ``2 A / (pi N)``."""
+    """The squared distance of two independent samplings of one surface with
+    area A: ``2 A / (pi N)``."""
 
 
 def nearest(points: Floats, target: Floats, threads: int = 1) -> Floats:
-    """Distance from each of ``points (N, 3)`` to the nearest of ``target (M, 3)``."""
+    """The distance ``(N,)`` from each of ``points (N, 3)`` to the nearest of ``target (M, 3)``."""
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(target).query(points, workers=threads)[0])
@@ -31,9 +32,11 @@ def nearest(points: Floats, target: Floats, threads: int = 1) -> Floats:
 def chamfer(
     predicted: Floats, reference: Floats, threshold: float, area: float, threads: int = 1
 ) -> ChamferResult:
-    """CD^2 (eq. cd2), precision, recall and F1 at ``threshold`` of two ``(N, 3)`` sample sets.
+    """CD^2 (equation cd2 of appendix B.1), precision, recall and F1 of two sets of samples
+    ``(N, 3)``.
 
-    ``area`` is the surface's, in the same frame, for the sampling floor.
+    ``threshold`` is the distance for F1. ``area`` is that of the surface, for the sampling floor.
+    All are in one frame.
     """
     forward = nearest(predicted, reference, threads)
     backward = nearest(reference, predicted, threads)

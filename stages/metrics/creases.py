@@ -1,8 +1,8 @@
-"""How well a surface's sharp edges and its reference's creases agree.
+"""Agreement between the sharp edges of a surface and the creases of its reference.
 
-After the edge F1 of Chen and Zhang, *Neural Marching Cubes* (2021), which compares samples of
-surfaces near which normals differ; here the points lie on the edges themselves and their distances
-are to edges, so that no sampling limits them.
+It is similar to the edge F1 of Chen and Zhang, *Neural Marching Cubes* (2021), which compares
+samples of surfaces near which normals differ. Here the samples lie on the edges, and distances are
+to edges, so that the density of samples does not limit them.
 """
 
 from __future__ import annotations
@@ -25,41 +25,41 @@ if TYPE_CHECKING:
 SHARP = 30.0
 """Smallest angle in degrees of a sharp edge of the surface.
 
-It is smaller than ANGLE, since triangles that are not exactly on both sides flatten a crease a
-little. Where a crease fades out, edges of 30 to 40 degrees therefore count against the precision,
-those of the reference too.
+It is less than ANGLE, because triangles that are not exactly on both sides make a crease a little
+flatter. Where a crease fades out, its edges of 30 to 40 degrees therefore lower the precision, even
+for the reference itself.
 """
 TOLERANCE = 0.005
-"""Distance within which edges agree, where the longest side of the reference's box is 1."""
+"""Largest distance at which edges agree, divided by the longest side of the reference's box."""
 STEP = 0.2
-"""Distance between points on edges, in tolerances."""
+"""Distance between samples on edges, in tolerances."""
 MOST_POINTS = 1_000_000
-"""Largest number of points: nearly every edge of a rough surface is sharp."""
+"""Largest number of samples. On a rough surface nearly every edge is sharp."""
 
 
 @dataclass(frozen=True)
 class CreaseAgreement:
-    """Of a surface's sharp edges and its reference's creases.
+    """Agreement of the sharp edges of a surface and the creases of its reference.
 
-    Shares are of length. Distances are in units of h0, the voxel edge of the run that the surface
-    is evaluated in; None where the surface has no sharp edge.
+    Shares are shares of length. Distances are in units of h0, the voxel edge of the run in which
+    the surface is evaluated. They are None if the surface has no sharp edge.
     """
 
     edge_f1: float
-    """Harmonic mean of the two below; 0 without sharp edges."""
+    """The harmonic mean of recall and precision; 0 if there are no sharp edges."""
     edge_recall: float
-    """Share of the creases within the tolerance of a sharp edge."""
+    """Share of the creases that are within the tolerance of a sharp edge."""
     edge_precision: float
-    """Share of the sharp edges within the tolerance of a crease."""
+    """Share of the sharp edges that are within the tolerance of a crease."""
     distance_median: float | None
-    """Distance from points on the creases to the closest sharp edge."""
+    """Median distance from samples of the creases to the closest sharp edge."""
     distance_p99: float | None
     crease_length: float
-    """Length of all creases, where the longest side of the reference's box is 1."""
+    """Length of all creases, divided by the longest side of the reference's box."""
     sharp_length: float
-    """Length of all sharp edges, in the same unit."""
+    """Length of all sharp edges, divided by the same length."""
     tolerance: float
-    """With the longest side of the reference's box as 1."""
+    """The tolerance, divided by the same length."""
     crease_angle: float
     """Smallest angle in degrees of a crease of the reference."""
     sharp_angle: float
@@ -68,14 +68,14 @@ class CreaseAgreement:
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight pieces between ``vertices (V, 3)`` with the indices ``ends (S, 2)``."""
+    """Straight segments between ``vertices (V, 3)``, with their indices ``ends (S, 2)``."""
 
     vertices: Floats
     ends: Ints
 
     @cached_property
     def lengths(self) -> Floats:
-        """Length of each piece, ``(S,)``."""
+        """The length of each segment, ``(S,)``."""
         start, end = self.vertices[self.ends[:, 0]], self.vertices[self.ends[:, 1]]
         return np.asarray(np.linalg.norm(end - start, axis=1))
 
@@ -92,8 +92,10 @@ class Segments:
         return tree
 
     def points(self, step: float) -> Floats:
-        """Points ``(N, 3)`` spread evenly along all pieces, ``step`` apart or a little less; never
-        more than MOST_POINTS."""
+        """Points ``(N, 3)`` along all segments, evenly spaced by ``step`` or slightly less.
+
+        There are at most MOST_POINTS.
+        """
         total = self.length
         count = int(np.clip(np.ceil(total / step), 1, MOST_POINTS))
         along = (np.arange(count) + 0.5) * (total / count)
@@ -105,7 +107,7 @@ class Segments:
         return np.asarray((1 - share) * start + share * end)
 
     def distance(self, points: Floats) -> Floats:
-        """Distances ``(N,)`` of ``points (N, 3)`` from the closest piece."""
+        """The distance ``(N,)`` of ``points (N, 3)`` from the closest segment."""
         square, _, _ = self.tree.squared_distance(
             self.vertices, self.ends, np.ascontiguousarray(points)
         )
@@ -113,7 +115,7 @@ class Segments:
 
 
 def of_reference(source: Source, frame: ModelFrame) -> Segments | None:
-    """The creases of a mesh or field in its own units; None if it has none, or is neither."""
+    """The creases of a mesh or field, in its own unit. None if it has none, or is neither."""
     chains = source.exact_creases(frame, ANGLE)
     if not chains:
         return None
@@ -128,8 +130,11 @@ def of_reference(source: Source, frame: ModelFrame) -> Segments | None:
 
 
 def sharp_edges(mesh: PolygonMesh, angle: float = SHARP) -> Segments | None:
-    """The edges between two faces of a surface whose normals are ``angle`` degrees apart or more;
-    None if there is none. Edges of one face, or of more than two, are not sharp but broken."""
+    """The edges between two faces whose normals differ by ``angle`` degrees or more; None if none
+    do.
+
+    Edges in one face, or in more than two, do not count.
+    """
     _, normal, _ = face_frames(mesh)
     keys, forward = edge_keys(mesh)
     order = np.argsort(keys, kind="stable")
@@ -148,10 +153,10 @@ def sharp_edges(mesh: PolygonMesh, angle: float = SHARP) -> Segments | None:
 def agreement(
     creases: Segments, mesh: PolygonMesh, longest: float, spacing: float
 ) -> CreaseAgreement:
-    """Compare the sharp edges of ``mesh`` with the ``creases`` of its reference.
+    """The agreement of the sharp edges of ``mesh`` and the ``creases`` of its reference.
 
-    All are in one frame, in which the longest side of the reference's box is ``longest`` and h0 is
-    ``spacing``.
+    All are in one frame, in which ``longest`` is the longest side of the reference's box, and
+    ``spacing`` is h0.
     """
     tolerance = TOLERANCE * longest
     edges = sharp_edges(mesh)

@@ -1,4 +1,4 @@
-"""Mean curvature by local quadric fits (paper's appendix B.2) and by dihedral angles."""
+"""Mean curvature by local fits of quadrics (paper, appendix B.2), and by dihedral angles."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ REACH = 2.0
 """The paper's rho: the radius of a fit in units of the reference's median edge length."""
 MINIMUM_NEIGHBOURS = 8
 CONDITION_LIMIT = 1e8
-"""Largest condition number of the 6 x 6 normal matrix, in coordinates divided by the radius; the
-paper gives none."""
+"""Largest condition number of the normal matrix ``(6, 6)``, in coordinates divided by the radius.
+The paper states none."""
 MOST_NEIGHBOURS = 2000
-"""With more neighbours the radius does not suit the surface, and no fit is made."""
+"""Largest number of neighbours of a fit. With more, the radius does not suit the surface."""
 MOST_VERTICES = 600_000
-"""Largest number of vertices of a surface that is divided to the edge length of its reference."""
+"""Largest number of vertices when a surface is divided to the edge length of its reference."""
 
 
 @dataclass(frozen=True)
 class CurvatureStatistics:
-    """|H| over the valid vertices; mean and std weighted by barycentric area."""
+    """Statistics of |H| over the vertices with a valid fit. Mean and std are
+    weighted by barycentric area."""
 
     radius: float
     mean: float
@@ -47,10 +48,11 @@ class CurvatureStatistics:
 def mean_curvature(
     vertices: Floats, triangles: Ints, radius: float, threads: int = 1
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """``H (V,)`` from a weighted quadratic height field over the vertices within ``radius``.
+    """``H (V,)`` at each vertex, from a weighted quadratic height field over vertices within
+    ``radius``.
 
-    A vertex is not its own neighbour. Returns H and which vertices have a trustworthy fit: from 8
-    to MOST_NEIGHBOURS neighbours and a condition number below CONDITION_LIMIT.
+    The vertex itself is left out. The second value says which fits are valid: those with 8 to
+    MOST_NEIGHBOURS neighbours and a condition number below CONDITION_LIMIT.
     """
     normals = geometry.vertex_normals(vertices, triangles)
     helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
@@ -60,7 +62,8 @@ def mean_curvature(
     frames = np.stack([tangent1, tangent2, normals], axis=1)
     curvature = np.zeros(len(vertices))
     valid = np.zeros(len(vertices), dtype=bool)
-    # In units of the radius, sorted by cells of that edge, those along z next to each other.
+    # Vertices in units of the radius are sorted by cells with edge 1; cells along z follow each
+    # other.
     placed = (vertices - vertices.min(axis=0)) / radius
     cell = np.floor(placed).astype(np.int64) + 1
     shape = cell.max(axis=0) + 2
@@ -101,8 +104,11 @@ def _normal_equations(
     order: Ints,
     most: int,
 ) -> tuple[Floats, Floats, Ints]:
-    """Matrices ``(R, 6, 6)`` and right sides ``(R, 6)`` of the fits at vertices ``rows (R,)``, and
-    how many neighbours each has; ``most`` + 1 where there are more."""
+    """Matrices ``(R, 6, 6)``, right sides ``(R, 6)`` and numbers of neighbours of the fits at
+    ``rows (R,)``.
+
+    The number is ``most`` + 1 if there are more than ``most`` neighbours.
+    """
     matrix = np.zeros((len(rows), 6, 6))
     right = np.zeros((len(rows), 6))
     sizes = np.zeros(len(rows), np.int64)
@@ -144,7 +150,8 @@ def statistics(
     curvature: Floats,
     valid: NDArray[np.bool_],
 ) -> CurvatureStatistics | None:
-    """The paper's |H| statistics of ``mean_curvature``'s results; None without a valid fit."""
+    """The paper's statistics of |H|, from the results of ``mean_curvature``.
+    None if no fit is valid."""
     if not valid.any():
         return None
     area = geometry.triangle_areas(vertices, triangles)
@@ -173,9 +180,10 @@ def off_creases(
     valid: NDArray[np.bool_],
     distance: Distance | None,
 ) -> CurvatureStatistics | None:
-    """The same over the vertices so far from every crease that no fit reaches across one.
+    """The same over those vertices whose fits reach across no crease.
 
-    ``distance`` gives that of points ``(N, 3)`` from the creases of the reference; None without it.
+    ``distance`` gives the distance of points ``(N, 3)`` from the creases of the reference. None if
+    there is no such function.
     """
     if distance is None:
         return None
@@ -190,11 +198,11 @@ def resampled(
     distance: Distance | None = None,
     threads: int = 1,
 ) -> tuple[CurvatureStatistics | None, CurvatureStatistics | None]:
-    """|H| of the surface divided until no edge is longer than ``edge``, so that every vertex has
-    neighbours within REACH edges: the figure of the paper depends on how dense a mesh is.
+    """Statistics of |H| after a surface is divided until no edge is longer than ``edge``.
 
-    Of all of it, and ``off_creases``. None when that takes more than MOST_VERTICES, or without a
-    valid fit.
+    Then every vertex has neighbours within REACH edges. Without it, the paper's metric depends on
+    the density of the mesh. The two values are for all vertices and for those of ``off_creases``. A
+    value is None if it takes more than MOST_VERTICES, or if no fit is valid.
     """
     fine = subdivided(vertices, triangles, edge, MOST_VERTICES)
     if fine is None:
@@ -207,9 +215,11 @@ def resampled(
 def of_reference(
     source: Source, samples: Floats, radius: float, distance: Distance | None, threads: int = 1
 ) -> dict[str, dict[str, Any] | None]:
-    """|H| of the reference itself, what a smooth surface should reach: of fields what is exact at
-    the ``samples (N, 3)``, of others by fits. Of all of it, and ``off_creases``, by their names
-    in the manifest."""
+    """Statistics of |H| of the reference, which a smooth surface should reach.
+
+    For a field they are exact at the ``samples (N, 3)``, for other inputs they come from fits.
+    There are those of all vertices and those of ``off_creases``, by their names in the manifest.
+    """
     names = ("reference_curvature", "reference_curvature_off_creases")
     exact = source.mean_curvature(samples)
     if exact is not None:
@@ -254,8 +264,8 @@ def settings(edge: float, of_mesh: bool) -> dict[str, float | str]:
 
 
 def dihedral_mean_curvature(mesh: PolygonMesh) -> float:
-    """``sum |theta| L / (2 A)`` over edges in two faces. It needs no radius and is sensitive to
-    roughness."""
+    """``sum |theta| L / (2 A)`` over edges in two faces. It needs no radius and is
+    sensitive to roughness."""
     area, normal, _ = geometry.face_frames(mesh)
     keys, _ = edge_keys(mesh)
     order = np.argsort(keys, kind="stable")

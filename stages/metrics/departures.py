@@ -1,4 +1,5 @@
-"""Places where the written surface has parts that the input lacks, or lacks parts that it has."""
+"""Departures: parts of the written surface that the input lacks, and parts
+that the surface lacks."""
 
 from __future__ import annotations
 
@@ -21,20 +22,21 @@ if TYPE_CHECKING:
 SAMPLES = 20_000
 """Number of sample points on the written surface."""
 FAR, SPACINGS = 1.0, 4.0
-"""Distance from which on parts differ, in units of h0, and for a cloud in units of its spacing."""
+"""Distance from which on parts differ: in units of h0, and for a point cloud in
+units of its spacing."""
 
 
 @dataclass(frozen=True)
 class Departure:
-    """Distances of samples of one surface from the other, in units of h0."""
+    """Distances of samples of one surface from the other one, in units of h0."""
 
     p99: float
     largest: float
     far: float
-    """Share of the samples that are further than ``limit``."""
+    """Share of the samples whose distance exceeds ``limit``."""
     limit: float
     place: list[float]
-    """Where the distance is largest, in the input's coordinates."""
+    """The place of the largest distance, in the coordinates of the input."""
 
     @classmethod
     def of(cls, points: Floats, distance: Floats, limit: float, frame: ModelFrame) -> Departure:
@@ -49,7 +51,7 @@ class Departure:
         )
 
     def told(self, spacing: float) -> str:
-        """The distances in words; ``spacing`` is h0 in the unit of the input."""
+        """The distances as a text. ``spacing`` is h0 in the unit of the input."""
         place = ", ".join(f"{x:.6g}" for x in self.place)
         return (
             f"further than {spacing * self.limit:.3g}, up to {spacing * self.largest:.3g} at "
@@ -59,15 +61,15 @@ class Departure:
 
 @dataclass(frozen=True)
 class Departures:
-    """Distances of the written surface from the input, and of the input from the written
-    surface."""
+    """Distances of the written surface from the input, and of the input
+    from the written surface."""
 
     surface: Departure
     input: Departure
     points: bool
     """Whether the input is a point cloud."""
     enclosed: float
-    """Share of the points that lie far inside the surface."""
+    """Share of the points of the cloud that lie far inside the surface."""
 
     def facts(self) -> dict[str, Any]:
         """Figures for the manifest."""

@@ -1,4 +1,5 @@
-"""Distances from samples to surfaces, which have no sampling floor, and agreement of normals."""
+"""Distances from samples to surfaces, which have no sampling floor, and the
+agreement of normals."""
 
 from __future__ import annotations
 
@@ -14,23 +15,23 @@ from ..mesh.queries.true_surface import TrueSurface
 
 @dataclass(frozen=True)
 class Fidelity:
-    """Agreement of a surface with the true one, in the frame of the surface."""
+    """Agreement of a surface with the true one. Lengths are in the frame of the surface."""
 
     surface_cd2: float
-    """Mean squared distance of samples to the other surface, summed over both directions."""
+    """Sum over both directions of the mean squared distance from samples to the other surface."""
     to_reference_cd2: float
-    """The part of the samples on the surface."""
+    """The part of it from samples of the surface."""
     from_reference_cd2: float
     rms: float
-    """Square root of half of surface_cd2."""
+    """The square root of half of surface_cd2."""
     p99: float
-    """99th percentile of the distances of both directions together."""
+    """The 99th percentile of the distances in both directions."""
     normal_consistency: float
-    """Mean cosine between the normals at samples and at their closest points, of both
-    directions."""
+    """Mean cosine, over both directions, between the normals at samples and at
+    their closest points."""
 
     def scaled(self, factor: float) -> Fidelity:
-        """The same figures in a frame whose lengths are ``factor`` times as large."""
+        """The same metrics in a frame in which lengths are ``factor`` times as large."""
         return replace(
             self,
             surface_cd2=factor**2 * self.surface_cd2,

@@ -1,4 +1,4 @@
-"""The gates that a surface passes or fails, with the elements that fail."""
+"""The gates of a surface, and the elements that make it fail them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..mesh.topology import (
 )
 
 NAMED = 20
-"""Number of elements of each kind that a manifest names; the PLY has all."""
+"""Number of elements of each kind that are listed in a manifest. The PLY has all of them."""
 CODES = {
     "open_edges": 1,
     "crowded_edges": 2,
@@ -29,7 +29,7 @@ CODES = {
     "pinched_vertices": 4,
     "crossing_faces": 5,
 }
-"""Kinds of defects by the number that marks them in the PLY."""
+"""The number in the PLY of each kind of defect."""
 
 FieldsOf = dict[str, Floats]
 
@@ -39,15 +39,15 @@ class Defects:
     """Elements that a surface should not have."""
 
     open_edges: Ints
-    """Edges in one face only ``(E, 2)``."""
+    """Edges ``(E, 2)`` in one face only."""
     crowded_edges: Ints
-    """Edges in more than two faces, or from a vertex to itself ``(E, 2)``."""
+    """Edges ``(E, 2)`` in more than two faces, or from a vertex to itself."""
     turned_edges: Ints
-    """Edges in two faces of opposite orientation ``(E, 2)``."""
+    """Edges ``(E, 2)`` in two faces with opposite orientations."""
     pinched_vertices: Ints
-    """Vertices whose faces form more than one fan ``(V,)``."""
+    """Vertices ``(V,)`` whose faces form more than one fan."""
     crossing_faces: Ints
-    """Pairs of faces that cross each other, or themselves ``(P, 2)``."""
+    """Pairs ``(P, 2)`` of faces that cross, and faces that cross themselves."""
 
     @property
     def count(self) -> int:
@@ -64,10 +64,10 @@ class Defects:
     def mesh(
         self, surface: PolygonMesh
     ) -> tuple[PolygonMesh, dict[str, Floats], dict[str, Floats]]:
-        """The faces of ``surface`` at a defect, with data by vertex and by face.
+        """The faces of ``surface`` at a defect, with data for vertices and for faces.
 
-        The data are the number in ``surface`` and the code of the defect: the lowest one, and 0 for
-        elements next to a defect.
+        The data are the number in ``surface``, and the code of the defect. If there are several,
+        the lowest code is given; it is 0 for elements beside a defect.
         """
         vertex_code = np.full(surface.vertex_count, len(CODES) + 1)
         face_code = np.full(surface.face_count, len(CODES) + 1)
@@ -96,8 +96,8 @@ class Defects:
 
 
 def defects(mesh: PolygonMesh) -> Defects:
-    """Find all defects. Faces with more than three corners are divided into fans about their
-    centroids."""
+    """All defects of ``mesh``. Faces with more than three corners become fans
+    about their centroids."""
     edges, fault = edge_faults(mesh)
     vertices, triangles, face = fan_triangles(mesh)
     return Defects(
@@ -112,9 +112,9 @@ def defects(mesh: PolygonMesh) -> Defects:
 def gates(
     mesh: PolygonMesh, found: Defects, expected: tuple[int, int] | None
 ) -> dict[str, bool | str]:
-    """Whether each gate passes, or a sentence that says why that is not known.
+    """Whether the surface passes each gate, or a sentence that says why that is not known.
 
-    ``expected`` are the reference's Euler number and number of components.
+    ``expected`` are the Euler number and the number of components of the reference.
     """
     facts = topology(mesh)
     directed = not len(found.turned_edges)

@@ -1,4 +1,4 @@
-"""Quality of polyhedral meshes, as OpenFOAM's checkMesh defines it."""
+"""Quality of polyhedral meshes, as defined by checkMesh of OpenFOAM."""
 
 from __future__ import annotations
 
@@ -18,31 +18,35 @@ TINY = np.finfo(float).tiny
 
 @dataclass(frozen=True)
 class Quality:
-    """Values by face ``(F,)``, of those between two cells ``(I,)``, by cell ``(C,)`` and by edge.
+    """Measures of faces ``(F,)``, of faces between two cells ``(I,)``, of cells ``(C,)`` and of
+    edges.
 
-    Lengths are in the mesh's unit, angles in degrees.
+    Lengths are in the unit of the mesh, angles in degrees.
     """
 
     volume: Floats
     face_area: Floats
     edge_length: Floats
     non_orthogonality: Floats
-    """Angle between a face's normal and the line between the centroids of its cells ``(I,)``."""
+    """Angle ``(I,)`` between a face's normal and the line between the centroids of its cells."""
     skewness: Floats
-    """How far from a face's centre the line between its cells' centroids crosses its plane, over
-    the face's extent that way ``(F,)``; at the boundary the line along the normal does."""
+    """Distance ``(F,)`` from a face's centre to the point where the line between its cells'
+    centroids meets its plane, divided by the extent of the face in that direction. At the boundary
+    the line goes along the normal."""
     aspect: Floats
-    """The larger of: largest over smallest of the sums of ``|S_f|`` by axis; their total over that
-    of a cube of the same volume ``(C,)``."""
+    """The aspect ratio ``(C,)``, which is the larger of two numbers. The first is the largest
+    divided by the smallest of the sums of ``|S_f|`` for each axis. The second is their total
+    divided by that of a cube with the same volume."""
     size_ratio: Floats
-    """Size (cube root of the volume) of the larger cell of a face divided by that of the smaller
-    ``(I,)``."""
+    """Size (cube root of the volume) of the larger cell of a face, divided by that of
+    the smaller, ``(I,)``."""
     cell_non_orthogonality: Floats
     cell_skewness: Floats
 
 
 def face_centres(mesh: PolygonMesh) -> tuple[Floats, Floats]:
-    """Vector areas ``(F, 3)``, and centres weighted by the areas of a fan about the mean corner."""
+    """Vector areas ``(F, 3)``, and centres weighted by the areas of a fan about
+    the mean of the corners."""
     corners = mesh.vertices[mesh.face_vertices]
     apex = face_sums(mesh, corners) / mesh.valences[:, None]
     following = mesh.vertices[mesh.next_vertices]
@@ -55,7 +59,7 @@ def face_centres(mesh: PolygonMesh) -> tuple[Floats, Floats]:
 
 
 def quality(mesh: PolyhedralMesh) -> Quality:
-    """Measure ``mesh`` without changing it."""
+    """The quality of ``mesh``, which is not changed."""
     faces, owner, count = mesh.faces, mesh.owner, mesh.cell_count
     inner = np.flatnonzero(mesh.neighbour >= 0)
     other = mesh.neighbour[inner]
@@ -97,7 +101,8 @@ def quality(mesh: PolyhedralMesh) -> Quality:
     cosine = along / np.maximum(reach * magnitude[inner], TINY)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
-    # From the owner's centroid to the face's centre, and the vector that is crossed by.
+    # From the owner's centroid ``there`` leads to the face's centre, and ``line`` to the other
+    # centroid or, at the boundary, to the face along its normal.
     there = centre - centroid[owner]
     unit = area / np.maximum(magnitude, TINY)[:, None]
     line = unit * np.einsum("ij,ij->i", unit, there)[:, None]
@@ -137,7 +142,7 @@ def quality(mesh: PolyhedralMesh) -> Quality:
 
 
 def _away(values: Floats) -> Floats:
-    """``values``, none of them zero."""
+    """``values``, with zeros replaced by a tiny number."""
     return np.where(np.abs(values) < TINY, TINY, values)
 
 
@@ -155,7 +160,7 @@ def distribution(values: Floats, logarithmic: bool) -> dict[str, Any]:
         edges_of = np.geomspace(low, max(high, low * (1 + 1e-9)), BINS + 1)
     else:
         edges_of = np.linspace(low, max(high, low + 1e-12), BINS + 1)
-    # The last edge must not fall short of the largest value by rounding.
+    # Rounding must not make the last edge smaller than the largest value.
     edges_of[0], edges_of[-1] = low, max(high, edges_of[-1])
     counts, _ = np.histogram(values, edges_of)
     median, p95, p99 = np.quantile(values, [0.5, 0.95, 0.99])
@@ -182,7 +187,7 @@ def summary(found: Quality) -> dict[str, Any]:
 
 
 def cell_data(mesh: PolyhedralMesh, role: Ints, volume: Floats, found: Quality) -> dict[str, Any]:
-    """Data of each cell ``(C,)`` for files; ``role (C,)`` is 1 at the surface, 2 inside."""
+    """Data of each cell ``(C,)`` for files. ``role (C,)`` is 1 at the surface, and 2 inside."""
     return {
         "generator": mesh.cell_generator,
         "role": role,

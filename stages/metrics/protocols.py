@@ -8,7 +8,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Protocol:
-    """How Chamfer distance and F1 are measured. Lengths are in ``frame``."""
+    """A way to measure Chamfer distance and F1. Lengths are in ``frame``."""
 
     name: str
     source: str
@@ -17,7 +17,7 @@ class Protocol:
     frame: str = "bounding-box diagonal of the reference = 1"
 
     def changed(self, samples: int | None, threshold: float | None) -> dict[str, Any]:
-        """The entry for the manifest; ``changed`` names settings that differ from the protocol."""
+        """The entry for the manifest. It names the settings that differ from the protocol."""
         given = {"samples": samples, "threshold": threshold}
         return {
             "name": self.name,

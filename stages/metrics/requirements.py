@@ -1,4 +1,4 @@
-"""Bounds that a user sets on the figures of an evaluation: ``f1>=0.98``."""
+"""Bounds that a user sets on the metrics of an evaluation, such as ``f1>=0.98``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WORDS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Requirement:
-    """A figure, a relation and a value."""
+    """A metric, a relation and a value."""
 
     name: str
     relation: str
@@ -30,7 +30,8 @@ class Requirement:
 
     @classmethod
     def parse(cls, text: str) -> Requirement:
-        """Parse ``name>=number``. Raises UsageError if it has another form."""
+        """The requirement in ``text``, such as ``f1>=0.98``. Raises UsageError
+        if it has another form."""
         match = FORM.fullmatch(text)
         if match is None:
             raise UsageError(
@@ -47,11 +48,11 @@ class Requirement:
             ) from None
 
     def fault(self, metrics: Mapping[str, Any]) -> str | None:
-        """Why ``metrics`` do not meet the bound, in words; None if they do.
+        """A sentence that says why ``metrics`` do not meet the requirement, or None if they do.
 
-        The name is that of a figure, or the end of its path: ``f1`` or ``chamfer.f1``. If several
-        figures have it, the least nested one is meant. Raises UsageError if no figure, or more than
-        one, has it.
+        The name is that of a metric, or the end of its path: ``f1`` or ``chamfer.f1``. If several
+        metrics have it, the least nested one is meant. Raises UsageError if none has it, or several
+        on one level.
         """
         figures = dict(_figures(metrics))
         ends = [path for path in figures if f".{path}".endswith(f".{self.name}")]
@@ -76,8 +77,10 @@ class Requirement:
 
 
 def _figures(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Paths and values of all figures of the surface that can be compared with a number. A sentence
-    stands for a figure that is not known."""
+    """Paths and values of all metrics of the surface that can be compared with a number.
+
+    A sentence replaces the value of a metric that is not known.
+    """
     for key, value in metrics.items():
         if key.startswith(OF_REFERENCE):
             continue

@@ -1,4 +1,4 @@
-"""Check that a written surface is closed, on the file as it is read back."""
+"""Check that a written surface is closed, made on the file as it is read back."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..mesh.topology import Topology, topology
 
 
 def as_written(paths: dict[str, Path], certified: Topology | None = None) -> dict[str, Any]:
-    """Read the PLY among the written files back and count.
+    """Read the PLY among the written files back, and return figures of its topology.
 
-    Where the certificate holds, the written surface is the trained one, whose topology is
+    If the certificate holds, the written surface is the trained one, whose topology is
     ``certified``. Raises NumericalFailure unless every edge is in exactly two faces with opposite
-    directions, the surface faces outward, and the file has the certified topology.
+    directions, the normals point outward, and the topology is the certified one.
     """
     mesh = ply.read(paths["ply"])
     if mesh is None:

@@ -1,1 +1,1 @@
-"""Remeshing of closed triangle surfaces, and the edge lengths that it aims at."""
+"""Remeshing of closed triangle surfaces, and the edge lengths at which it aims."""

@@ -1,8 +1,8 @@
-"""Triangles that are long where the surface bends less: the metric of its curvature.
+"""The metric of the curvature, in which triangles are long where the surface bends less.
 
-Over a triangle with edges of lengths a and b along the principal directions the distance to the
-surface grows with ``|k1| a^2 + |k2| b^2``; of a given area it is least where the two are equal: for
-equilateral triangles in a metric in proportion to the curvature (Alliez et al. 2003).
+The distance of a triangle to the surface grows with ``|k1| a^2 + |k2| b^2``, for edges of lengths a
+and b along the principal directions. For a given area it is least if both terms are equal. Such
+triangles are equilateral in a metric that is proportional to the curvature (Alliez et al. 2003).
 """
 
 from __future__ import annotations
@@ -14,24 +14,26 @@ from ..mesh.geometry import triangle_normals, vertex_normals
 from ..mesh.polygons import Floats, Ints
 
 LONGEST = 2.0
-"""Of an edge along the direction of least curvature, over one across it."""
+"""Largest length of an edge along the direction of least curvature, divided by one across it."""
 SMOOTHINGS = 2
-"""Rounds in which curvatures are averaged over the triangles around each vertex."""
+"""Number of times that curvatures are averaged over the triangles around each vertex."""
 FLAT = 0.3
-"""How far an edge is from the surface, over the mean of the shape, up to which that is flat."""
+"""A direction counts as flat if an edge along it deviates from the surface by less than this,
+divided by the mean deviation over the shape."""
 SMALL = 1e-9
-"""The same of a shape that is flat everywhere, in units of h0."""
+"""A deviation that is added to that bound for shapes that are flat everywhere, in units of h0."""
 AT_CREASES = 1e-3
-"""Weight of triangles at creases once others have said what they know."""
+"""Weight of triangles at creases after the first averaging. Before it their weight is 0."""
 
 
 def metrics(mesh: Sized) -> Floats:
-    """The metric at each vertex ``(V, 3, 3)``, of determinant 1, and 1 along the normal."""
+    """The metric at each vertex ``(V, 3, 3)``. It has the determinant 1, and
+    is 1 along the normal."""
     normal = vertex_normals(mesh.vertices, mesh.triangles)
     bending, axes = _bending(mesh, normal)
     count = len(mesh.vertices)
     _, area = triangle_normals(mesh.vertices, mesh.triangles)
-    # Normals on a crease are of neither side.
+    # The normal at a crease vertex belongs to neither side of the crease.
     weight = np.where((mesh.rank[mesh.triangles] > 0).any(axis=1), 0.0, area)
     tensor = np.einsum("tai,tab,tbj->tij", axes, bending, axes)
     for _ in range(SMOOTHINGS):
@@ -39,16 +41,16 @@ def metrics(mesh: Sized) -> Floats:
         mean /= np.maximum(total, np.finfo(float).tiny)[:, None, None]
         tensor = mean[mesh.triangles].mean(axis=1)
         weight = np.where(weight > 0, weight, AT_CREASES * area)
-    # In the tangent plane of each vertex.
+    # The tensors are restricted to the tangent plane of each vertex.
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     frame = np.stack([first, np.cross(normal, first)], axis=1)
     value, vector = np.linalg.eigh(np.einsum("vai,vij,vbj->vab", frame, mean, frame))
-    # What bends too little for its edges to show has no directions.
+    # Where the surface bends less than its edges show, no direction is preferred.
     bend = np.abs(value) * mesh.length[:, None] ** 2
     size = np.maximum(bend, FLAT * bend.max(axis=1).mean() + SMALL)
     size = np.maximum(size, size.max(axis=1, keepdims=True) / LONGEST**2)
-    # Beside creases long triangles leave their spheres no room.
+    # The spheres of long triangles beside a crease would not fit.
     near = mesh.rank > 0
     near[mesh.triangles[near[mesh.triangles].any(axis=1)]] = True
     size[near] = 1.0
@@ -59,7 +61,7 @@ def metrics(mesh: Sized) -> Floats:
 
 
 def _spread(triangles: Ints, tensor: Floats, weight: Floats, count: int) -> tuple[Floats, Floats]:
-    """Sums of the tensors and weights of the triangles around each vertex."""
+    """Weighted sums of the tensors of the triangles around each vertex, and sums of the weights."""
     flat = triangles.reshape(-1)
     total = np.asarray(np.bincount(flat, np.repeat(weight, 3), minlength=count), np.float64)
     sums = np.zeros((count, 3, 3))
@@ -70,8 +72,10 @@ def _spread(triangles: Ints, tensor: Floats, weight: Floats, count: int) -> tupl
 
 
 def _bending(mesh: Sized, normal: Floats) -> tuple[Floats, Floats]:
-    """The second fundamental form of each triangle ``(T, 2, 2)``, by how normals change along its
-    edges (Rusinkiewicz 2004), and the axes ``(T, 2, 3)`` that it is given in."""
+    """The second fundamental form ``(T, 2, 2)`` of each triangle, and its axes ``(T, 2, 3)``.
+
+    It follows from the change of the vertex normals along the edges (Rusinkiewicz 2004).
+    """
     corners, normals = mesh.vertices[mesh.triangles], normal[mesh.triangles]
     way = np.roll(corners, -1, axis=1) - corners
     turn = np.roll(normals, -1, axis=1) - normals
@@ -80,7 +84,7 @@ def _bending(mesh: Sized, normal: Floats) -> tuple[Floats, Floats]:
     axes = np.stack([first, np.cross(facing, first)], axis=1)
     u, v = np.einsum("tki,tai->atk", way, axes)
     du, dv = np.einsum("tki,tai->atk", turn, axes)
-    # du = a u + b v and dv = b u + c v, by least squares for (a, b, c).
+    # Least squares for (a, b, c) in du = a u + b v and dv = b u + c v.
     uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
     zero = 0 * uu
     matrix = np.stack(

@@ -1,4 +1,4 @@
-"""Changes of a triangle surface that keep it from crossing itself."""
+"""Changes of a triangle surface that do not make it cross itself."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ if TYPE_CHECKING:
     from ..mesh.edge_table import Sized
 
 ROUNDS = 6
-"""How often vertices of crossing triangles, and each time a ring more, are put back."""
+"""Number of rounds in which vertices of crossing triangles are put back,
+each with one more ring."""
 
 
 def kept_embedded(before: Floats, after: Floats, triangles: Ints) -> Floats:
-    """``after (V, 3)``, with vertices back ``before`` where triangles cross that did not.
+    """``after (V, 3)``, with vertices put back to ``before`` where triangles would newly cross.
 
-    Where that does not help in ROUNDS rounds all of them are put back: what was embedded stays so.
+    If triangles still cross after ROUNDS rounds, all vertices are put back.
     """
-    # Only triangles that move cross others anew.
+    # Only triangles that move can newly cross others.
     moved = (after != before).any(axis=1)[triangles].any(axis=1)
     crossing = self_intersections(after, triangles, moved)
     if len(crossing) == 0:
@@ -48,9 +49,11 @@ def kept_embedded(before: Floats, after: Floats, triangles: Ints) -> Floats:
 def embedded(
     change: Callable[[Sized, NDArray[np.bool_]], int], mesh: Sized, where: NDArray[np.bool_]
 ) -> None:
-    """Make a ``change`` of edges ``where (V,)``, but for those around which triangles would cross,
-    so that no more of them do than before; none at all where leaving these out does not help. The
-    change may take vertices away; it adds none."""
+    """Apply ``change`` at the vertices ``where (V,)``, except where triangles would newly cross.
+
+    If leaving out those places does not help, nothing is changed. The change may remove vertices,
+    but must not add any.
+    """
     known = len(self_intersections(mesh.vertices, mesh.triangles))
     number = np.arange(len(mesh.vertices), dtype=np.float64)
     where = where.copy()

@@ -1,10 +1,11 @@
-"""Least-squares fitting of a triangle surface to a true surface, both ways.
+"""Least-squares fit of a triangle surface to a true surface, in both directions.
 
-Samples of the triangles are drawn to their closest points of the true surface, and samples of the
-true surface draw the triangles closest to them, so that tips, creases and corners are reached that
-no sample of the triangles would find. Each sample stands for the plane through its closest point
-across the way there (point to plane, Chen and Medioni 1992); with the planes fixed the distance is
-linear in the vertices and one damped Gauss-Newton step solves for all of them.
+Samples of the triangles are pulled to their closest points on the true surface. Samples of the true
+surface pull the triangle that is closest to them, so that tips, creases and corners are reached
+that no sample of the triangles would find. For each sample, the true surface is replaced by the
+plane through the closest point, perpendicular to the line from the sample to it (point to plane,
+Chen and Medioni 1992). With fixed planes, the distances are linear in the vertices, and one damped
+Gauss-Newton step moves all of them.
 """
 
 from __future__ import annotations
@@ -26,24 +27,26 @@ if TYPE_CHECKING:
 VERTEX, EDGE, MIDDLE = 3 / 60, 8 / 60, 27 / 60
 """Weights of corners, edge midpoints and centroid in a quadrature that is exact for cubics."""
 ON_SURFACE = 1e-6
-"""Distance below which the way to the surface has no direction, in model units."""
+"""Distance to the surface, in model units, below which its direction is taken from the normal."""
 AGAINST = -0.2
-"""Cosine of two normals below which a triangle is of another sheet than a sample."""
+"""A triangle is on another sheet than a sample if the cosine of their normals is less."""
 REACH = 0.3
-"""Distance that a turn of a normal by one radian counts for where sheets are told apart."""
+"""The distance that counts like a difference of 1 between normals when sheets are told apart."""
 CANDIDATES = 4
+"""Number of triangles that are tried if the closest one is on another sheet."""
 DAMPING = 0.05
-"""Of a fit, in units of the mean diagonal of its normal matrix."""
+"""Damping of a fit, in units of the mean diagonal of its normal matrix."""
 LONGEST_STEP = 0.5
-"""Of a vertex in one fit, in target lengths."""
+"""Largest move of a vertex in one fit, in target lengths."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Samples ``sum_k weights[:, k] * vertices[corners[:, k]]`` and their planes.
+    """Samples ``sum_k weights[:, k] * vertices[corners[:, k]]``, and the plane of each.
 
-    ``corners, weights (R, 3)``; ``direction (R, 3)`` unit and ``offset (R,)``: the plane; ``share
-    (R,)``: of the surface, sums to 1.
+    ``corners`` and ``weights`` are ``(R, 3)``. A plane has the unit normal ``direction (R, 3)`` and
+    the ``offset (R,)``. ``share (R,)`` is the part of the surface that a sample represents; the sum
+    is 1.
     """
 
     corners: Ints
@@ -53,17 +56,17 @@ class Rows:
     share: Floats
 
     def distance(self, vertices: Floats) -> Floats:
-        """Signed distances ``(R,)`` of the samples to their planes."""
+        """The signed distances ``(R,)`` of the samples to their planes."""
         at = np.einsum("rk,rkd->rd", self.weights, vertices[self.corners])
         return np.asarray(np.einsum("rd,rd->r", at, self.direction) - self.offset)
 
     def gradient(self) -> Floats:
-        """Derivatives ``(R, 3, 3)`` of the distances by the vertices ``corners``."""
+        """The derivatives ``(R, 3, 3)`` of the distances by the three vertices."""
         return self.weights[:, :, None] * self.direction[:, None, :]
 
 
 def forward(surface: NearSurface, vertices: Floats, triangles: Ints) -> Rows:
-    """Vertices, edge midpoints and centroids, and the closest points of the true surface."""
+    """Samples of the triangles (corners, edge midpoints, centroids), and their closest points."""
     table = EdgeTable.of(triangles)
     normal, area = triangle_normals(vertices, triangles)
     count, (a, b) = len(vertices), table.ends.T
@@ -96,7 +99,7 @@ def forward(surface: NearSurface, vertices: Floats, triangles: Ints) -> Rows:
 
 
 def backward(surface: NearSurface, vertices: Floats, triangles: Ints) -> Rows:
-    """The closest points on the triangles of the samples of the true surface."""
+    """The points of the triangles that are closest to the samples of the true surface."""
     points, normals = surface.samples, surface.normals
     triangle, place = _closest(points, normals, vertices, triangles)
     corners = vertices[triangles[triangle]]
@@ -116,7 +119,7 @@ def backward(surface: NearSurface, vertices: Floats, triangles: Ints) -> Rows:
 
 
 def _across(way: Floats, otherwise: Floats) -> Floats:
-    """Unit directions of ``way (N, 3)``, and ``otherwise`` where it has none."""
+    """``way (N, 3)`` as unit vectors; where it is shorter than ON_SURFACE, ``otherwise (N, 3)``."""
     length = np.linalg.norm(way, axis=1, keepdims=True)
     return np.where(length > ON_SURFACE, way / np.maximum(length, ON_SURFACE), otherwise)
 
@@ -124,8 +127,11 @@ def _across(way: Floats, otherwise: Floats) -> Floats:
 def _closest(
     points: Floats, normals: Floats, vertices: Floats, triangles: Ints
 ) -> tuple[Ints, Floats]:
-    """The triangle closest to each point, and the point of it; of the sheet that faces as the
-    point's normal does, where there is one."""
+    """The closest triangle to each point, and the closest point on it.
+
+    A triangle whose normal opposes the point's is replaced by one of the same sheet, if one is
+    near.
+    """
     from scipy.spatial import cKDTree
 
     from ..mesh.queries.projection import closest_on_triangles
@@ -155,8 +161,10 @@ def _closest(
 
 
 def vertex_errors(surface: NearSurface, vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
-    """Of samples on the triangles around each vertex and those of the true surface, the mean
-    squared distance and the largest, ``(V,)`` each."""
+    """The mean squared and the largest distance of the samples around each vertex, ``(V,)`` each.
+
+    They are samples of the triangles at the vertex, and samples of the true surface near these.
+    """
     total, share, largest = (np.zeros(len(vertices)) for _ in range(3))
     for way in (forward, backward):
         rows = way(surface, vertices, triangles)
@@ -171,8 +179,10 @@ def vertex_errors(surface: NearSurface, vertices: Floats, triangles: Ints) -> tu
 
 
 def fit(mesh: Sized, surface: NearSurface, where: NDArray[np.bool_] | None = None) -> None:
-    """Move the vertices, or those ``where (V,)``, to where the squared distances, both ways, are
-    least; those on creases stay."""
+    """Move the vertices so that the squared distances in both directions become least.
+
+    Only vertices ``where (V,)`` move, by default all; vertices on creases stay.
+    """
     blocks = []
     for way in (forward, backward):
         rows = way(surface, mesh.vertices, mesh.triangles)

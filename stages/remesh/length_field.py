@@ -1,5 +1,8 @@
-"""The target edge length over a surface: what is asked for, finer where the shape is thin, creases
-are close to each other, or triangles are far from the surface."""
+"""The target edge length as a function on a surface.
+
+It is shorter where the shape is thin, where creases are close to each other, or where triangles are
+far from the true surface.
+"""
 
 from __future__ import annotations
 
@@ -10,34 +13,36 @@ import numpy as np
 from ..mesh.polygons import Floats, Ints
 
 OPPOSITE = -0.5
-"""Cosine of two normals below which they are of opposite sheets."""
+"""Normals with a smaller cosine belong to opposite sheets."""
 ACROSS = 0.6
-"""Cosine to both normals above which the way between two points leads across a sheet."""
+"""The line between two points goes from sheet to sheet if its cosine with
+both normals is larger."""
 BETWEEN = 0.5
-"""Cosine to both tangents below which the way between two points leads from crease to crease."""
+"""The line between two points goes from crease to crease if its cosine with
+both tangents is smaller."""
 THINNEST = 0.6
-"""Edge of a voxel over the thickness that it still resolves, and of a triangle over the distance of
-two creases."""
+"""Largest edge, divided by the thickness of the shape or by the distance of two creases."""
 CELL = np.sqrt(3) / 4
-"""Area of a triangle over its squared edge length."""
+"""Area of an equilateral triangle, divided by its squared edge."""
 GRADATION = 0.35
-"""How much the target length may grow per length."""
+"""Largest growth of the target length per length."""
 NEIGHBOURS = 8
+"""Number of nearest points with which the growth is limited."""
 MOST_PAIRS = 2e7
-"""Of points that are looked at for sheets and creases opposite; the reach is less where there would
-be more."""
+"""Largest number of pairs of points that are compared. The distance limit is
+lowered if there are more."""
 EVEN = 1 / 6
-"""The squared error over a triangle grows with the sixth power of its edge length, and the sum over
-a number of triangles is least where each has the same."""
+"""Exponent by which errors change lengths. The squared error over a triangle grows with the sixth
+power of its edges, and for a given number of triangles the sum is least if all errors are equal."""
 STRONGEST = 3.0
-"""Factor by which one look at the errors changes a length at the most."""
+"""Largest factor by which a length changes after one measurement of the errors."""
 
 
 def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
-    """Distance ``(N,)`` from each surface sample to the opposite sheet, inside or outside.
+    """The distance ``(N,)`` from each sample of a surface to the opposite sheet, inside or outside.
 
-    ``points, normals (N, 3)`` sample a surface. Sheets further than ``limit`` are not seen: the
-    value there is infinity.
+    ``points (N, 3)`` and ``normals (N, 3)`` are the samples. The distance is infinite where it
+    would exceed ``limit``.
     """
     result = np.full(len(points), np.inf)
     pairs = _pairs(points, limit)
@@ -56,8 +61,11 @@ def thickness(points: Floats, normals: Floats, limit: float) -> Floats:
 
 
 def separation(points: Floats, tangents: Floats, limit: float) -> Floats:
-    """Distance ``(N,)`` from each point of a crease to the next crease, or the other side of its
-    own, across; infinity beyond ``limit``. ``points, tangents (N, 3)`` sample the creases."""
+    """The distance ``(N,)`` from each sample of a crease to another crease beside it.
+
+    Another part of the same crease counts too. ``points (N, 3)`` and ``tangents (N, 3)`` are the
+    samples. The distance is infinite where it would exceed ``limit``.
+    """
     result = np.full(len(points), np.inf)
     pairs = _pairs(points, limit)
     if len(pairs) == 0:
@@ -74,7 +82,8 @@ def separation(points: Floats, tangents: Floats, limit: float) -> Floats:
 
 
 def _pairs(points: Floats, limit: float) -> Ints:
-    """Pairs ``(K, 2)`` of points within ``limit``, or within less where that were too many."""
+    """The pairs ``(K, 2)`` of points within ``limit``, which is lowered if there are
+    more than MOST_PAIRS."""
     from scipy.spatial import cKDTree
 
     tree: Any = cKDTree(points)
@@ -84,12 +93,13 @@ def _pairs(points: Floats, limit: float) -> Ints:
 
 
 def triangles_of(area: float, lengths: Floats) -> float:
-    """How many triangles an ``area`` takes whose edges are ``lengths (N,)`` at even samples."""
+    """The number of triangles that cover ``area`` if their edges at even samples
+    are ``lengths (N,)``."""
     return float(area / CELL * (1 / lengths**2).mean())
 
 
 class LengthField:
-    """A target length at points of a surface, extended to their neighbourhood."""
+    """A target length at points of a surface. Elsewhere, the nearest point decides."""
 
     def __init__(self, points: Floats, lengths: Floats) -> None:
         from scipy.spatial import cKDTree
@@ -103,10 +113,10 @@ class LengthField:
         )
         self.lengths = self.graded(lengths)
         self.metrics: Floats | None = None
-        """At the points ``(N, 3, 3)``: what lengths are measured in."""
+        """The metric at each point ``(N, 3, 3)`` in which lengths are measured."""
 
     def graded(self, lengths: Floats) -> Floats:
-        """The largest lengths below ``lengths`` that grow by GRADATION at the most."""
+        """The largest lengths that do not exceed ``lengths (N,)`` and grow by at most GRADATION."""
         here, there, rise = self.edges
         lengths = lengths.copy()
         while True:
@@ -117,9 +127,11 @@ class LengthField:
                 return lengths
 
     def __call__(self, points: Floats) -> Floats:
+        """The target lengths ``(K,)`` at ``points (K, 3)``."""
         return np.asarray(self.lengths[self.nearest(points)])
 
     def metric(self, points: Floats) -> Floats:
+        """The metric ``(K, 3, 3)`` at ``points (K, 3)``."""
         assert self.metrics is not None
         return np.asarray(self.metrics[self.nearest(points)])
 
@@ -128,8 +140,11 @@ class LengthField:
 
 
 def evened(lengths: Floats, errors: Floats) -> Floats:
-    """Lengths ``(V,)`` in proportion to which each triangle would have the same squared error, from
-    present ones and the mean squared ``errors`` of triangles there."""
+    """Lengths ``(V,)`` at which all triangles would have the same squared error.
+
+    ``errors (V,)`` are mean squared errors of triangles with the present ``lengths (V,)``. No
+    length changes by more than the factor STRONGEST.
+    """
     each = errors * lengths**2
     mean = each.mean()
     if not mean > 0:

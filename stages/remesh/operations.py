@@ -1,7 +1,7 @@
-"""Local operations on closed triangle surfaces, on flat arrays.
+"""Local operations on closed triangle surfaces: split, contract and flip edges.
 
-Every operation is applied at once to a set of edges whose neighbourhoods do not meet, so there is
-no loop over edges; the surface stays closed and keeps its topology (Botsch and Kobbelt 2004).
+Each operation applies to a set of edges with separate neighbourhoods at once, so that there is no
+loop over edges. The surface stays closed and keeps its topology (Botsch and Kobbelt 2004).
 """
 
 from __future__ import annotations
@@ -16,27 +16,31 @@ from ..mesh.geometry import triangle_normals
 from ..mesh.polygons import Floats, Ints
 
 LONGEST, SHORTEST = 4 / 3, 4 / 5
-"""Edges longer or shorter than these multiples of the target length are split or contracted."""
+"""Edges are split if they are longer than the first, and contracted if they are shorter than the
+second, in target lengths."""
 PASSES = 8
-"""Rounds of independent edges in one sweep of an operation."""
+"""Largest number of sets of edges in one sweep of an operation."""
 STRETCH = 1.05
-"""Factor by which an edge that is too long already may become longer."""
+"""Largest factor by which an operation may lengthen an edge that is too long already."""
 TURN, STRICT_TURN = 0.3, 0.8
-"""Smallest cosine by which an operation may turn a triangle, and where vertices stay in place."""
+"""Smallest cosine between the normals of a triangle before and after an operation; the second
+number applies where vertices keep their places."""
 SLIVER = 0.04
-"""Area, in squared target lengths, below which the normal of a triangle means nothing."""
+"""A triangle with a smaller area, in squared target lengths, has no meaningful normal."""
 FOLDED, OPENED = -0.5, 0.5
-"""Cosine of the normals of two triangles from which on their edge is folded, or is not."""
+"""An edge is folded if the cosine between the normals of its two triangles is below the first
+number, and it is not folded if the cosine is above the second."""
 
 Gain = Callable[[Sized, EdgeTable], Floats]
-"""What flipping each edge is worth, ``(E,)``; those with a positive gain are flipped."""
+"""A function that gives the gain of flipping each edge, ``(E,)``. Edges with a
+gain above 0 are flipped."""
 
 
 def split_long(
     mesh: Sized, factor: float = LONGEST, most: float = np.inf, passes: int = PASSES
 ) -> int:
-    """Halve edges longer than ``factor`` target lengths, ``most`` of them at the most; returns how
-    many were."""
+    """Halve edges longer than ``factor`` target lengths, at most ``most`` of
+    them. Returns the number."""
     done = 0
     for _ in range(passes):
         table = EdgeTable.of(mesh.triangles)
@@ -54,7 +58,7 @@ def split_long(
         cut = np.sort(table.ends[chosen[split]], axis=1)
         span = np.array([len(mesh.vertices), 1])
         whole = np.sort(mesh.creases[:, :2], axis=1) @ span
-        # Each edge that is cut, among the edges on creases.
+        # Find the split edges that lie on creases.
         order = np.argsort(whole, kind="stable")
         row = order[np.searchsorted(whole[order], cut @ span)]
         halves = [
@@ -82,11 +86,12 @@ def contract_short(
     where: NDArray[np.bool_] | None = None,
     to_ends: bool = False,
 ) -> int:
-    """Contract edges shorter than ``factor`` target lengths to their middle or to an end, where
-    the surface keeps its topology, no triangle turns over and no edge becomes too long.
+    """Contract edges shorter than ``factor`` target lengths. Returns the number of edges.
 
-    ``where (V,)`` says which vertices may be ends (default: all). With ``to_ends`` no edge is
-    contracted to its middle, so that all vertices stay where they are. Returns the number of edges.
+    An edge contracts to its middle, or to an end, unless that would change the topology, turn a
+    triangle over, or make an edge too long. ``where (V,)`` says which vertices may be ends; the
+    default is all. With ``to_ends`` edges contract to an end only, so that all vertices keep their
+    places.
     """
     done = 0
     refused: set[int] = set()
@@ -107,17 +112,18 @@ def contract_short(
         if len(candidate) == 0:
             break
         if to_ends:
-            # On a regular mesh the shortest of each neighbourhood are few.
+            # On a regular mesh few edges are the shortest of their neighbourhood; random factors
+            # make them more.
             ratio *= np.random.default_rng(0).uniform(0.5, 1.0, len(ratio))
         chosen = candidate[_apart(table, ratio, candidate, count)]
         a, b = ends[chosen].T
-        # What is on a crease stays there.
+        # The vertex of higher rank stays, so that vertices on creases do.
         turned = mesh.rank[a] < mesh.rank[b]
         a, b = np.where(turned, b, a), np.where(turned, a, b)
         place = mesh.vertices[a] if to_ends else 0.5 * (mesh.vertices[a] + mesh.vertices[b])
         higher = mesh.rank[a] > mesh.rank[b]
         place[higher] = mesh.vertices[a[higher]]
-        # Most triangles of a fine input are small, and their normals are right.
+        # A fine input has many small triangles with correct normals: none is exempt.
         limits = (STRICT_TURN, 0.0) if to_ends else (TURN, SLIVER)
         good = _may_contract(mesh, table, chosen, place, *limits)
         for end in (b,) if to_ends else (a, b):
@@ -137,7 +143,7 @@ def contract_short(
         mesh.creases = mesh.creases[mesh.creases[:, 0] != mesh.creases[:, 1]]
         triangles = target[mesh.triangles]
         gone = (triangles == triangles[:, [1, 2, 0]]).any(axis=1)
-        # Numbers stay until the end of the sweep, so that refused edges keep their key.
+        # Vertices keep their numbers during a sweep, so that refused edges keep their keys.
         mesh.triangles = triangles[~gone]
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.triangles] = True
@@ -152,14 +158,15 @@ def contract_short(
 
 
 def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
-    """Flip edges with a positive ``gain`` where no triangle turns over; the number of flips."""
+    """Flip edges with a positive ``gain`` if no triangle turns over.
+    Returns the number of flips."""
     done = 0
     count = len(mesh.vertices)
     active = np.ones(count, dtype=bool)
     for _ in range(passes):
         table = EdgeTable.of(mesh.triangles)
         existing = np.sort(table.ends, axis=1) @ np.array([count, 1])
-        # What a flip is worth changes only with what happens at its four corners.
+        # The gain of a flip changes only if one of its four corners is changed.
         corners = np.concatenate([table.ends, table.opposite], axis=1)
         table = table.rows(np.asarray(active[corners].any(axis=1)))
         value = gain(mesh, table)
@@ -169,12 +176,12 @@ def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
         wanted &= table.opposite[:, 0] != table.opposite[:, 1]
         candidate = np.flatnonzero(wanted)
         new_key = np.sort(table.opposite[candidate], axis=1) @ np.array([count, 1])
-        place = np.searchsorted(existing, new_key) % len(existing)  # the edges are in that order
+        place = np.searchsorted(existing, new_key) % len(existing)  # edges are sorted by this key
         candidate = candidate[existing[place] != new_key]
         candidate = candidate[_may_flip(mesh, table, candidate)]
         if len(candidate) == 0:
             break
-        # Apart from each other: the four corners of a flip belong to no other flip of the round.
+        # Flips of one round have no corners in common.
         quad = np.concatenate([table.ends[candidate], table.opposite[candidate]], axis=1)
         rank = _ranks(-value[candidate])
         claim = np.full(count, len(candidate))
@@ -193,7 +200,7 @@ def flip(mesh: Sized, gain: Gain, passes: int = PASSES) -> int:
 
 
 def valence_gain(mesh: Sized, table: EdgeTable) -> Floats:
-    """By how much a flip brings the valences nearer to six."""
+    """The decrease of the valences' deviation from six."""
     valence = np.bincount(mesh.triangles.reshape(-1), minlength=len(mesh.vertices))
     ends, opposite = valence[table.ends] - 6, valence[table.opposite] - 6
     before = (ends**2).sum(axis=1) + (opposite**2).sum(axis=1)
@@ -202,7 +209,7 @@ def valence_gain(mesh: Sized, table: EdgeTable) -> Floats:
 
 
 def delaunay_gain(mesh: Sized, table: EdgeTable) -> Floats:
-    """Sum of the two angles opposite an edge, in the metric if there is one, less pi."""
+    """The sum of the two angles opposite each edge, minus pi. Angles are measured in the metric."""
     total = np.full(len(table.ends), -np.pi - 1e-9)
     measure = np.eye(3)[None]
     if mesh.metric is not None:
@@ -219,13 +226,14 @@ def delaunay_gain(mesh: Sized, table: EdgeTable) -> Floats:
 
 
 def unfolding_gain(mesh: Sized, table: EdgeTable) -> Floats:
-    """Positive where an edge is folded and is not after its flip."""
+    """Positive for an edge that is folded, and is not after its flip."""
     before, after = fold_cosines(mesh, table)
     return np.where((before < FOLDED) & (after > OPENED), after - before, -1.0)
 
 
 def fold_cosines(mesh: Sized, table: EdgeTable) -> tuple[Floats, Floats]:
-    """Cosines between the normals of the two triangles of each edge, now and after its flip."""
+    """The cosines between the normals of the two triangles of each edge,
+    before and after its flip."""
     (a, b), (c, d) = table.ends.T, table.opposite.T
     before, after = (
         [triangle_normals(mesh.vertices, np.stack(corners, 1))[0] for corners in pair]
@@ -235,11 +243,12 @@ def fold_cosines(mesh: Sized, table: EdgeTable) -> tuple[Floats, Floats]:
 
 
 def _keeps_creases(mesh: Sized, table: EdgeTable) -> NDArray[np.bool_]:
-    """Which edges may be contracted without joining two creases, or losing one or a corner."""
+    """Whether the contraction of each edge joins no two creases, and
+    removes no crease or corner."""
     rank = mesh.rank[table.ends]
     on = mesh.on_crease(table.ends)
     good = (rank.min(axis=1) == 0) | (on & (rank.min(axis=1) < 2))
-    # A crease of three edges around a triangle would collapse onto itself.
+    # A closed crease of three edges would collapse.
     for side in range(2):
         other = table.opposite[:, side]
         around = [mesh.on_crease(np.stack([table.ends[:, k], other], axis=1)) for k in range(2)]
@@ -256,7 +265,7 @@ def _ranks(priority: Floats) -> Ints:
 def _best_in_triangles(
     table: EdgeTable, value: Floats, wanted: NDArray[np.bool_], count: int
 ) -> Ints:
-    """Wanted edges of the largest value in both of their triangles."""
+    """The wanted edges that have the largest value in both of their triangles."""
     candidate = np.flatnonzero(wanted)
     rank = _ranks(-value[candidate])
     best = np.full(count, len(candidate))
@@ -265,7 +274,7 @@ def _best_in_triangles(
 
 
 def _common_neighbours(ends: Ints, candidate: Ints, count: int) -> Ints:
-    """How many vertices are neighbours of both ends of each candidate edge."""
+    """The number of vertices that are neighbours of both ends of each candidate edge."""
     from scipy.sparse import csr_array
 
     both = np.concatenate([ends, ends[:, ::-1]])
@@ -275,7 +284,7 @@ def _common_neighbours(ends: Ints, candidate: Ints, count: int) -> Ints:
 
 
 def _apart(table: EdgeTable, value: Floats, candidate: Ints, count: int) -> NDArray[np.bool_]:
-    """A set of candidate edges of which no two touch or neighbour each other, shortest first."""
+    """A set of candidate edges with separate neighbourhoods; shorter ones are chosen first."""
     rank = _ranks(value[candidate])
     ends = table.ends[candidate]
     claim = np.full(count, len(candidate))
@@ -290,8 +299,11 @@ def _apart(table: EdgeTable, value: Floats, candidate: Ints, count: int) -> NDAr
 def _may_contract(
     mesh: Sized, table: EdgeTable, chosen: Ints, place: Floats, turn: float, sliver: float
 ) -> NDArray[np.bool_]:
-    """Whether contracting to ``place`` turns no triangle to a cosine below ``turn``, but those
-    whose area is below ``sliver`` squared target lengths, and leaves no edge too long."""
+    """Whether each contraction to ``place`` turns no triangle over and makes no edge too long.
+
+    A triangle turns over if the cosine between its normals before and after is below ``turn``.
+    Triangles with an area below ``sliver`` squared target lengths are exempt.
+    """
     count = len(mesh.vertices)
     a, b = table.ends[chosen].T
     owner = np.full(count, -1)
@@ -319,6 +331,7 @@ def _may_contract(
 
 
 def _may_flip(mesh: Sized, table: EdgeTable, candidate: Ints) -> NDArray[np.bool_]:
+    """Whether each flip turns no triangle over."""
     (a, b), (c, d) = table.ends[candidate].T, table.opposite[candidate].T
     old, new = (
         [triangle_normals(mesh.vertices, np.stack(corners, 1)) for corners in pair]
@@ -326,7 +339,7 @@ def _may_flip(mesh: Sized, table: EdgeTable, candidate: Ints) -> NDArray[np.bool
     )
     cosine = np.array([[np.einsum("ij,ij->i", one, other) for other, _ in new] for one, _ in old])
     plain = (cosine > TURN).all(axis=(0, 1))
-    # Of a folded pair the larger triangle says which way is up.
+    # In a folded pair, the normal of the larger triangle is taken as correct.
     folded = np.einsum("ij,ij->i", old[0][0], old[1][0]) < FOLDED
     larger = np.where(old[0][1] > old[1][1], cosine[0].min(axis=0), cosine[1].min(axis=0))
     return np.asarray(plain | (folded & (larger > TURN)))

@@ -1,4 +1,4 @@
-"""Where the shape under a triangle surface is plane."""
+"""The parts of a triangle surface under which the shape is plane."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ if TYPE_CHECKING:
     from ..mesh.queries.true_surface import NearSurface
 
 FLAT = 1e-3
-"""Sine of the angle between normals, and height over the edge length, up to which two triangles are
-of one plane."""
+"""Two triangles are in one plane if the sine of the angle between their normals, and the height
+divided by the edge length, are less."""
 BESIDE = 0.02
-"""Height of a corner beyond its plane, in edge lengths, above which its triangle is not of it."""
+"""A triangle is not in a plane part if a corner is further from the plane, in edge lengths."""
 LEAST = 30
-"""Fewest triangles of a plane part: the facets that stand for something round have fewer."""
+"""Smallest number of triangles of a plane part. The facets of a round shape
+in an input have fewer."""
 MOST = 3
-"""Plane parts that may meet at a vertex: more than three planes do so only up to rounding."""
+"""Largest number of plane parts at a vertex. More than three planes only meet up to rounding."""
 
 
 @dataclass(frozen=True)
 class PlaneParts:
-    """The plane part ``(T,)`` that each triangle lies in, or -1, and the planes ``normal . x =
-    offset`` of the parts."""
+    """The plane part ``(T,)`` of each triangle, or -1, and the planes ``normal . x = offset``."""
 
     part: Ints
     normal: Floats
     offset: Floats
 
     def of_groups(self, group: Ints) -> Ints:
-        """The part that all triangles of each ``group (T,)`` lie in, or -1, by the group."""
+        """The part that contains all triangles of each ``group (T,)``, or -1."""
         least, most = np.full(len(group), len(group)), np.full(len(group), -1)
         np.minimum.at(least, group, self.part)
         np.maximum.at(most, group, self.part)
@@ -44,9 +44,9 @@ class PlaneParts:
 
 
 def plane_parts(mesh: Sized, table: EdgeTable, surface: NearSurface, lengths: Floats) -> PlaneParts:
-    """The plane parts, by the closest points of the triangles' middles and the normals there.
+    """The plane parts, from the closest points of the triangles' centroids and the normals there.
 
-    ``lengths (T,)``: the edge length at each triangle. Creases bound the parts.
+    ``lengths (T,)`` are the edge lengths of the triangles. Creases bound the parts.
     """
     count, corners = len(mesh.triangles), mesh.vertices[mesh.triangles]
     facing, _ = triangle_normals(mesh.vertices, mesh.triangles)
@@ -63,14 +63,14 @@ def plane_parts(mesh: Sized, table: EdgeTable, surface: NearSurface, lengths: Fl
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
     along = np.einsum("ij,ij->i", foot, mean[part])
     offset = np.bincount(part, along, minlength=number) / np.bincount(part, minlength=number)
-    # Many small turns in a row are no plane.
+    # Many small angles in a row add up: triangles are compared with the mean plane.
     off = np.maximum(
         np.abs(along - offset[part]) / lengths,
         np.linalg.norm(np.cross(normal, mean[part]), axis=1),
     )
     bent = np.zeros(number, dtype=bool)
     bent[part[off > FLAT]] = True
-    # A triangle that reaches over the edge of a plane part is not of it.
+    # A triangle that extends over the boundary of a plane part does not belong to it.
     aside = np.abs(np.einsum("tkj,tj->tk", corners, mean[part]) - offset[part, None])
     part = np.where(bent[part] | (aside.max(axis=1) > BESIDE * lengths), -1, part)
     size = np.bincount(part[part >= 0], minlength=number)

@@ -1,4 +1,4 @@
-"""Isotropic remeshing of closed triangle surfaces that keeps to a true surface and its creases."""
+"""Isotropic remeshing of closed triangle surfaces that follows a true surface and its creases."""
 
 from __future__ import annotations
 
@@ -33,39 +33,40 @@ if TYPE_CHECKING:
     Length = Callable[[Floats], Floats]
 
 STEP = 0.7
-"""Share of the way that a vertex goes at once towards the middle of its triangles."""
+"""Share of the distance to the mean of its triangles that a vertex moves in one iteration."""
 LONGEST_MOVE = 0.3
-"""Of a vertex at once, in target lengths."""
+"""Largest move of a vertex in one iteration, in target lengths."""
 DIVISIONS = 60
-"""The most rounds in which the edges of an input are halved."""
+"""Largest number of rounds in which the edges of an input are halved."""
 FEW = 0.02
-"""Share of the triangles that have to vanish in a sweep for another sweep of thinning out."""
+"""Thinning out ends when a sweep removes a smaller share of the triangles."""
 LAST, LAST_STEP = 3, 0.2
-"""The last iterations, and that share in them: creases come to rest."""
+"""Number of last iterations, and their value of STEP. Creases come to rest in them."""
 EMBEDDED = 4
-"""Iterations before the creases are looked for among the edges of a new surface."""
+"""Number of iterations before creases are embedded into the edges of a new surface."""
 FITS = 3
-"""Fits at the end."""
+"""Number of fits at the end."""
 SHARP = 0.866
-"""Cosine of the normals of two triangles below which their edge is a crease."""
+"""An edge is a crease if the cosine of the normals of its two triangles is less."""
 WORSE = 0.01
-"""By how much, in target lengths, a flip may take the middle of an edge off the surface."""
+"""Largest distance, in target lengths, by which a flip may move the middle of an edge
+away from the surface."""
 OFF, BETTER = 0.03, 0.6
-"""An edge whose middle is off by more than this is flipped if that leaves this share of it."""
+"""An edge is flipped if its middle is further from the surface than the first number, in target
+lengths, and if the flip multiplies the distance by less than the second."""
 ASTRAY = 0.3
-"""Distance of a folded triangle to its own sheet, in target lengths, from which on there is none
-and the fold is an accident."""
+"""Distance of a folded triangle from the true surface, in target lengths, above which the fold is
+not one of the surface."""
 
 
 def remesh(
     mesh: Sized, length: Length, surface: NearSurface, creases: Creases | None = None,
     iterations: int = 12, embedded: int = EMBEDDED,
 ) -> int:  # fmt: skip
-    """Triangulate the same closed surface with edges about ``length(points)`` long, fitted to
-    ``surface``, from iteration ``embedded`` on with edges along its ``creases``. Returns how many
-    of those have none.
+    """Remesh a closed surface with edges of about ``length(points)``, fitted to ``surface``.
 
-    Raises ValueError when the surface is not closed and manifold along its edges.
+    From iteration ``embedded`` on, edges follow the ``creases``. Returns the number of creases that
+    no edges follow. Raises ValueError unless every edge of the surface is in two triangles.
     """
     mesh.length, missed = length(mesh.vertices), 0
     nearer, valence, delaunay = (
@@ -107,8 +108,11 @@ def remesh(
 
 
 def thin_out(mesh: Sized, length: Length) -> None:
-    """Contract edges to one of their ends until few are much shorter than their target, so that
-    what follows takes time for the triangles that there are to be, not for those of the input."""
+    """Contract edges to one of their ends until few are much shorter than their target length.
+
+    The time of what follows then depends on the number of triangles of the result, not of the
+    input.
+    """
     mesh.length = length(mesh.vertices)
     count = np.inf
     while len(mesh.triangles) < (1 - FEW) * count:
@@ -118,8 +122,10 @@ def thin_out(mesh: Sized, length: Length) -> None:
 
 
 def divide(mesh: Sized, length: Length, surface: NearSurface) -> None:
-    """Halve edges until none is longer than its target, with flips in between: long triangles of an
-    input would else become many thin ones. Every vertex stays where it is."""
+    """Halve edges until none is longer than its target length. Every vertex keeps its place.
+
+    Edges are flipped in between. Otherwise long triangles of an input would become many thin ones.
+    """
     mesh.length = length(mesh.vertices)
     gain = smooth_only(keeping(surface, delaunay_gain))
     for _ in range(DIVISIONS):
@@ -130,9 +136,11 @@ def divide(mesh: Sized, length: Length, surface: NearSurface) -> None:
 
 
 def relax(mesh: Sized, step: float, where: NDArray[np.bool_] | None = None) -> None:
-    """Move vertices, or those ``where (V,)``, along the surface towards the mean of their
-    triangles' centroids, ``step`` of the way. Triangles weigh by their area over the squared target
-    length."""
+    """Move vertices along the surface towards the mean of their triangles' centroids.
+
+    They move ``step`` times the distance; only vertices ``where (V,)`` do, by default all. The
+    weight of a triangle is its area divided by the squared target length.
+    """
     _, area = triangle_normals(mesh.vertices, mesh.triangles)
     weight = area / mesh.length[mesh.triangles].mean(axis=1) ** 2
     centroid = weight[:, None] * mesh.vertices[mesh.triangles].mean(axis=1)
@@ -145,7 +153,7 @@ def relax(mesh: Sized, step: float, where: NDArray[np.bool_] | None = None) -> N
     move -= np.einsum("ij,ij->i", move, normal)[:, None] * normal
     on = np.flatnonzero(mesh.rank == CREASE)
     if len(on):
-        # Along a crease, to the middle of the two neighbours on it.
+        # Vertices on a crease move to the middle between their two neighbours on it.
         both = np.concatenate([mesh.creases[:, :2], mesh.creases[:, 1::-1]])
         for k in range(3):
             total = np.bincount(both[:, 0], mesh.vertices[both[:, 1], k], minlength=count)
@@ -157,7 +165,7 @@ def relax(mesh: Sized, step: float, where: NDArray[np.bool_] | None = None) -> N
 
 
 def smooth_only(gain: Gain) -> Gain:
-    """``gain`` where an edge is no crease."""
+    """``gain`` for edges that are not creases."""
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:
         return np.where(fold_cosines(mesh, table)[0] < SHARP, -1.0, gain(mesh, table))
@@ -166,7 +174,7 @@ def smooth_only(gain: Gain) -> Gain:
 
 
 def keeping(surface: NearSurface, gain: Gain) -> Gain:
-    """``gain`` where a flip does not take the edge off the true surface."""
+    """``gain`` for flips that do not move an edge away from the true surface."""
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:
         found = gain(mesh, table)
@@ -179,7 +187,10 @@ def keeping(surface: NearSurface, gain: Gain) -> Gain:
 
 
 def nearer_gain(surface: NearSurface) -> Gain:
-    """By how much a flip of an edge, at a crease before or after, brings it to the true surface."""
+    """The decrease of an edge's distance to the true surface by its flip.
+
+    It is positive only for edges that are creases before or after the flip.
+    """
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:
         found = np.full(len(table.ends), -1.0)
@@ -195,7 +206,8 @@ def nearer_gain(surface: NearSurface) -> Gain:
 def _middles(
     mesh: Sized, table: EdgeTable, row: Ints, surface: NearSurface
 ) -> tuple[Floats, Floats]:
-    """Distances of the middles of edges ``row`` to the true surface, now and after their flip."""
+    """Distances of the middles of edges ``row`` to the true surface, before
+    and after their flip."""
     if len(row) == 0:
         return np.zeros(0), np.zeros(0)
     normal, _ = triangle_normals(mesh.vertices, mesh.triangles)
@@ -210,7 +222,7 @@ def _middles(
 
 
 def astray(mesh: Sized, surface: NearSurface) -> NDArray[np.bool_]:
-    """Triangles ``(T,)`` at a folded edge that the true surface does not have."""
+    """The triangles ``(T,)`` at folded edges where the true surface has no fold."""
     table = EdgeTable.of(mesh.triangles)
     found = np.zeros(len(mesh.triangles), dtype=bool)
     folded = np.unique(table.triangles[fold_cosines(mesh, table)[0] < FOLDED])
@@ -225,8 +237,11 @@ def astray(mesh: Sized, surface: NearSurface) -> NDArray[np.bool_]:
 
 
 def unfold(mesh: Sized, surface: NearSurface, rounds: int = 5) -> None:
-    """Undo folds that the true surface does not have: by flips, then by moving the vertices to the
-    mean of their neighbours, where no triangles cross then."""
+    """Remove folds that the true surface does not have.
+
+    Edges are flipped first. Then vertices move to the mean of their neighbours, unless triangles
+    would newly cross.
+    """
     for _ in range(rounds):
         flip(mesh, unfolding_gain, 2)
         wrong = astray(mesh, surface)

@@ -1,5 +1,4 @@
-"""Opposite sheets of a closed surface that are too near to each other moved apart, and what is
-sharper than its edges are long made round."""
+"""Changes that give spheres room: opposite sheets move apart, and sharp places become round."""
 
 from __future__ import annotations
 
@@ -13,21 +12,28 @@ from ..mesh.queries.thickness import across, searched
 from .embedding import kept_embedded
 
 APART = 1.2
-"""Distance of opposite sheets that leaves room for their spheres, in target lengths."""
+"""Distance of opposite sheets at which their spheres have room, in target lengths."""
 STEP, ROUNDS = 0.4, 4
-"""Share of the missing distance made up by each of the two sheets in one round, and the rounds."""
+"""Share of the missing distance by which each of two sheets moves in one round, and
+the number of rounds."""
 SMOOTHINGS = 3
+"""Number of times that vertices move towards the mean of their neighbours."""
 BACK = 6
-"""The most rounds in which sheets draw back from each other."""
+"""Largest number of rounds in which sheets that cross are moved apart."""
 FACING = -0.3
-"""Cosine of two normals below which vertices are of opposite sheets."""
+"""Vertices are on opposite sheets if the cosine of their normals is less."""
 ACROSS = 0.6
-"""Cosine to both normals above which the way between two vertices leads across."""
+"""The line between two vertices goes from sheet to sheet if its cosine with
+both normals is larger."""
 
 
 def part(mesh: Sized, where: NDArray[np.bool_]) -> None:
-    """Move vertices ``where (V,)`` along their normals until opposite sheets are APART: a body that
-    is too thin becomes thicker, a gap wider. No triangles cross then that did not before."""
+    """Move vertices ``where (V,)`` along their normals until opposite sheets have the distance
+    APART.
+
+    A body that is too thin becomes thicker, a gap wider. Moves after which triangles would newly
+    cross are undone.
+    """
     table = EdgeTable.of(mesh.triangles)
     row = np.flatnonzero(where)
     wanted = APART * mesh.length[row]
@@ -45,8 +51,11 @@ def part(mesh: Sized, where: NDArray[np.bool_]) -> None:
 
 
 def draw_back(mesh: Sized, where: NDArray[np.bool_]) -> None:
-    """Move vertices ``where (V,)`` along their normals until sheets that have gone through each
-    other are APART: both bodies draw back from what they have in common."""
+    """Move vertices ``where (V,)`` along their normals until sheets that overlap have the distance
+    APART.
+
+    Both bodies withdraw from the volume that they have in common.
+    """
     from scipy.spatial import cKDTree
 
     from ..mesh.queries.parity import RayParity
@@ -77,8 +86,10 @@ def draw_back(mesh: Sized, where: NDArray[np.bool_]) -> None:
 
 
 def smooth(mesh: Sized, where: NDArray[np.bool_]) -> None:
-    """Move vertices ``where (V,)`` that are free towards the mean of their neighbours: tips, edges
-    and folds become round. No triangles cross then that did not before."""
+    """Move free vertices ``where (V,)`` towards the mean of their neighbours.
+
+    Tips, edges and folds become round. Moves after which triangles would newly cross are undone.
+    """
     table, before = EdgeTable.of(mesh.triangles), mesh.vertices
     free = (where & (mesh.rank == 0))[:, None]
     for _ in range(SMOOTHINGS):
@@ -88,5 +99,5 @@ def smooth(mesh: Sized, where: NDArray[np.bool_]) -> None:
 
 
 def _spread(table: EdgeTable, shift: Floats, where: NDArray[np.bool_]) -> Floats:
-    """``shift (V,)`` and, beside it, half the mean of the neighbours' shifts."""
+    """``shift (V,)``, and half the mean of the neighbours' shifts at vertices without one."""
     return np.where((shift == 0) & where, 0.5 * table.mean_of_neighbours(shift), shift)

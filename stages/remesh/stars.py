@@ -1,9 +1,9 @@
-"""Triangles of a closed surface merged into polygons, over vertices that keep four edges or more.
+"""Triangles of a closed surface, merged into polygons. Vertices keep at least four edges.
 
-Faces with more than three corners conform exactly only where their vertices leave them the freedom:
-with three faces at every vertex a smooth patch could only be a sphere, with four it can be any
-surface. Where the surface is plane, three suffice. Whole stars are merged first, in the order of a
-lattice, then pairs of the triangles that are left.
+Faces with more than three corners conform exactly only if their vertices have enough freedom. With
+three faces at every vertex, a smooth patch can only be part of a sphere. With four, it can be any
+surface. Where the surface is plane, three are enough. Whole stars of triangles around a vertex are
+merged first, in the order of a lattice, and then pairs of the triangles that are left.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from ..mesh.geometry import triangle_normals
 from ..mesh.polygons import Floats, Ints, PolygonMesh
 
 KEPT, KEPT_FLAT = 4, 3
-"""Edges that a vertex keeps at least; the second where all faces at it are plane, crease by
-crease."""
+"""Smallest number of edges that a vertex keeps: in general, and where all faces at it are
+plane between creases."""
 BEND, FOLD = 30.0, 10.0
 """Largest angle between the normals of two triangles of a star, and of a pair, in degrees."""
 TURN = 0.15
-"""Least sine of the angle by which a merged polygon turns at a corner."""
+"""Smallest sine of the angle by which a merged polygon turns at a corner."""
 TRIALS = 12
-"""Orders of growth that are tried."""
+"""Number of starting points of the lattice that are tried."""
 
 
 @dataclass(frozen=True)
 class Rings:
-    """The neighbours of every vertex of a closed triangle surface, counter-clockwise.
+    """The neighbours of each vertex of a closed triangle surface, counter-clockwise.
 
-    Those of vertex v are ``vertices[offsets[v] : offsets[v + 1]]``, ``triangles`` the triangle
-    between each and the next one.
+    Those of vertex v are ``vertices[offsets[v] : offsets[v + 1]]``. ``triangles`` has the triangle
+    between each neighbour and the next one.
     """
 
     offsets: Ints
@@ -45,7 +45,7 @@ class Rings:
     def of(cls, triangles: Ints, count: int) -> Rings:
         corner = triangles.reshape(-1)
         after, before = (np.roll(triangles, -shift, axis=1).reshape(-1) for shift in (1, 2))
-        # The corner at the same vertex whose triangle begins where this one's ends.
+        # The next corner at the same vertex: its triangle begins at the edge where this one ends.
         starts = corner * count + after
         order = np.argsort(starts, kind="stable")
         follows = order[np.searchsorted(starts[order], corner * count + before)]
@@ -66,19 +66,19 @@ class Rings:
 
     @property
     def owners(self) -> Ints:
-        """The vertex whose ring each entry is of."""
+        """The vertex to whose ring each entry belongs."""
         return np.repeat(np.arange(len(self.offsets) - 1), self.degrees)
 
 
 def _mergeable(vertices: Floats, triangles: Ints, rings: Rings, rank: Ints) -> NDArray[np.bool_]:
-    """Vertices ``(V,)`` off creases whose star is little bent and has a convex ring."""
+    """Whether each vertex ``(V,)`` is off creases and has a nearly flat star with a convex ring."""
     normal, area = triangle_normals(vertices, triangles)
     count, owner = len(vertices), rings.owners
     weighted = (area[:, None] * normal)[rings.triangles]
     parts = [np.bincount(owner, part, minlength=count) for part in weighted.T]
     middle = np.stack(parts, axis=1).astype(np.float64)
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), np.finfo(float).tiny)
-    # Half of the angle to the mean stands for the angle between two.
+    # Two normals differ by at most twice their angle to the mean normal.
     cosine = np.einsum("ij,ij->i", normal[rings.triangles], middle[owner])
     good = rank == 0
     good[owner[cosine < np.cos(np.radians(BEND / 2))]] = False
@@ -96,8 +96,11 @@ def _mergeable(vertices: Floats, triangles: Ints, rings: Rings, rank: Ints) -> N
 def _grown(
     offsets: Ints, ring: Ints, spare: Ints, allowed: NDArray[np.bool_], order: Ints
 ) -> NDArray[np.bool_]:
-    """Vertices to be removed: from each on to those two steps straight ahead, wherever no two are
-    neighbours and no vertex loses more than ``spare (V,)`` edges."""
+    """The vertices to be removed, whose stars become polygons.
+
+    From each one, the vertices two steps straight ahead are tried. No two removed vertices are
+    neighbours, and no vertex loses more than ``spare (V,)`` edges.
+    """
     count = len(offsets) - 1
     taken = np.zeros(count, dtype=np.bool_)
     queued = np.zeros(count, dtype=np.bool_)
@@ -137,8 +140,11 @@ def _grown(
 
 @compiled
 def _paired(order: Ints, ends: Ints, pairs: Ints, spare: Ints, used: NDArray[np.bool_]) -> Ints:
-    """Edges ``order (K,)`` that are taken out one after the other, each between two triangles
-    ``pairs (E, 2)`` that are not ``used (T,)`` and vertices with edges to ``spare (V,)``."""
+    """The edges that are removed, one after the other in the ``order (K,)``.
+
+    An edge is removed if its two triangles ``pairs (E, 2)`` are not ``used (T,)`` yet and both ends
+    have edges to ``spare (V,)``.
+    """
     taken = np.empty(len(order), dtype=np.int64)
     count = 0
     for edge in order:
@@ -162,11 +168,12 @@ def groups(
     flat: NDArray[np.bool_],
     most: float = 1.0,
 ) -> Ints:
-    """The polygon ``(T,)`` that each triangle is to be part of, by the lowest of its triangles.
+    """The polygon ``(T,)`` to which each triangle will belong, as the lowest index of its
+    triangles.
 
-    ``rank (V,)`` is not 0 on creases, ``on_crease (E,)`` says which edges of the table are on them,
-    ``flat (V,)`` which vertices have plane faces. Polygons cover at most the share ``most`` of the
-    area.
+    ``rank (V,)`` is not 0 on creases, ``on_crease (E,)`` marks the edges of the table on creases,
+    and ``flat (V,)`` marks vertices whose faces are plane. Polygons cover at most the share
+    ``most`` of the area.
     """
     count = len(vertices)
     rings, table = Rings.of(triangles, count), EdgeTable.of(triangles)
@@ -190,7 +197,7 @@ def groups(
     used = np.zeros(len(triangles), dtype=bool)
     used[rings.triangles[inner]] = True
     spare = spare - np.bincount(rings.vertices[inner], minlength=count)
-    # Pairs of what is left, the flattest first.
+    # The triangles that are left are paired, the flattest pairs first.
     cosine = np.einsum("ij,ij->i", normal[table.triangles[:, 0]], normal[table.triangles[:, 1]])
     good = ~on_crease & (cosine > np.cos(np.radians(FOLD))) & ~used[table.triangles].any(axis=1)
     good &= _convex(vertices, table, normal)
@@ -202,7 +209,7 @@ def groups(
 
 
 def _limited(group: Ints, area: Floats, most: float) -> Ints:
-    """Without the last of the polygons, where they cover more than the share ``most``."""
+    """The groups without the last polygons, so that the others cover at most the share ``most``."""
     size = np.bincount(group, minlength=len(group))
     large = size[group] > 1
     covered = np.bincount(group[large], area[large], minlength=len(group))
@@ -213,7 +220,7 @@ def _limited(group: Ints, area: Floats, most: float) -> Ints:
 
 
 def _convex(vertices: Floats, table: EdgeTable, normal: Floats) -> NDArray[np.bool_]:
-    """Edges ``(E,)`` whose two triangles are a quadrilateral that turns at all corners."""
+    """Whether the two triangles of each edge ``(E,)`` form a strictly convex quadrilateral."""
     a, b = table.ends.T
     c, d = table.opposite.T
     axis = normal[table.triangles].sum(axis=1)
@@ -227,10 +234,10 @@ def _convex(vertices: Floats, table: EdgeTable, normal: Floats) -> NDArray[np.bo
 
 
 def merged(vertices: Floats, triangles: Ints, group: Ints) -> tuple[PolygonMesh, Ints]:
-    """The surface with the triangles of each ``group (T,)`` as one polygon, over the same vertices,
-    those with fewest corners first; and the group of each face ``(F,)``.
+    """The surface with each ``group (T,)`` as one polygon, and the group of each face ``(F,)``.
 
-    Raises ValueError where a group has no ring that goes through each of its vertices once.
+    It has the same vertices. Faces with fewer corners come first. Raises ValueError if a group has
+    no ring that passes each of its vertices once.
     """
     count, table = len(vertices), EdgeTable.of(triangles)
     rim = group[table.triangles[:, 0]] != group[table.triangles[:, 1]]

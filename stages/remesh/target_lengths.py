@@ -1,4 +1,8 @@
-"""Triangles with the edge lengths that are asked for, or as many triangles as are."""
+"""Remeshing to given edge lengths, or to a given number of triangles.
+
+Edge lengths are decided here: ``spaced`` limits them by the thickness of parts and gaps
+(``limits``) and by the distance of creases, and fits them to the wanted number of triangles.
+"""
 
 from __future__ import annotations
 
@@ -28,54 +32,57 @@ if TYPE_CHECKING:
     Count = Callable[[Floats], float]
 
 PLACES, DISTINCT = 3, 2.0
-"""How many places are named, and how far apart they are, in units of h0."""
+"""Number of places that are named in an error, and their smallest distance in units of h0."""
 SMALLEST = 0.25
-"""The least length beside creases, in units of the largest, where none is asked for."""
+"""Shortest edge beside creases, as a share of the largest, if no shortest one is given."""
 LEAST = 0.03
-"""The least length at all, in units of h0: of shorter edges the margin of the certificate, which is
-in units of h0, would ask too much."""
+"""Shortest edge of all, in units of h0. For shorter ones the margin of the certificate, which is in
+units of h0, would demand too much."""
 FLOORS = 5
-"""How many least lengths between creases are tried."""
+"""Number of shortest edges between creases that are tried."""
 MORE = 4000.0, 1.5
-"""Triangles, and how many times the usual number, that close creases may take."""
+"""Creases that are close may add this number of triangles, and the triangles may become
+so many times as many."""
 MANY = 2.0
-"""Triangles at first, over those that there are to be, above which edges are contracted before
-anything else."""
+"""If the input has more than this number of triangles for each triangle of the result, its edges
+are contracted first."""
 SAMPLES, MOST_SAMPLES = 20_000, 400_000
-"""Points at which the thickness is measured: at first, and at the most where there are to be many
-triangles."""
+"""Number of points at which the thickness is measured: at first, and at most if there
+will be many triangles."""
 PER_FACE = 2.0
-"""Such points for each triangle that there is to be, at the least."""
+"""Smallest number of such points for each triangle of the result."""
 FINEST, COARSEST = 0.25, 4.0
-"""The same, and the largest, of varied lengths, in units of what even ones would be."""
+"""Shortest and longest of varied edges, divided by the length that even edges would have."""
 THIN = 0.8
-"""Edge of a triangle over the distance of two creases, of varied lengths: these are short already
-where it matters."""
+"""Largest varied edge, divided by the distance of two creases. Varied edges are short where it
+matters, so that this is larger than THINNEST."""
 LOOKS, LATER = 3, 12
-"""How often the errors are looked at, and the iterations of remeshing after each look."""
+"""Number of times that the errors are measured, and of remeshing iterations after each."""
 NEVER = 1_000_000
-"""More iterations than there are: creases that are embedded already are not looked for again."""
+"""A number of iterations that is never reached, for creases that are embedded already."""
 FIRST = 12
-"""Iterations of remeshing before the first look."""
+"""Number of remeshing iterations before the errors are first measured."""
 NEAR = 0.02
-"""Share of the triangles by which they may be missed before the lengths are scaled once more."""
+"""Largest relative deviation from the wanted number of triangles at which lengths
+are not scaled again."""
 HALVINGS = 40
+"""Number of steps of the bisection that finds a number of triangles."""
 THINNER = 1.25
-"""Factor by which thin parts and gaps may get longer edges where there are not enough triangles."""
+"""Factor by which edges on thin parts and gaps may be longer if there are not enough triangles."""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """How many triangles the thinnest parts ask for, and where these are, in model units."""
+    """The number of triangles that thin parts need, and the thinnest places, in model units."""
 
     triangles: float
     places: Floats
-    """Up to PLACES that ask for the shortest edges, ``(K, 3)``."""
+    """At most PLACES places with the shortest edges, ``(K, 3)``."""
     lengths: Floats
-    """Those edges, ``(K,)``."""
+    """The edge lengths at these places, ``(K,)``."""
 
     def named(self, frame: ModelFrame) -> str:
-        """The places and edges, in the input's units."""
+        """The places and edge lengths as text, in the unit of the input."""
         return "; ".join(
             f"edges of {frame.spacing * length:.3g} at ({', '.join(f'{x:.6g}' for x in at)})"
             for length, at in zip(self.lengths, frame.input_from_model(self.places), strict=True)
@@ -83,7 +90,7 @@ class Demand:
 
 
 class TooManyTriangles(Exception):
-    """There are more in ``demand`` than there may be."""
+    """The ``demand`` is for more triangles than are allowed."""
 
     def __init__(self, demand: Demand) -> None:
         super().__init__(demand)
@@ -92,16 +99,16 @@ class TooManyTriangles(Exception):
 
 @dataclass(frozen=True)
 class Spacing:
-    """The edge lengths that are asked for, in units of h0."""
+    """The wanted edge lengths, in units of h0."""
 
     length: float
-    """Of edges where nothing asks for others."""
+    """The length of edges where nothing limits it."""
     shortest: float | None = None
     longest: float | None = None
     faces: int | None = None
-    """How many triangles there are to be; by default as many as have edges of ``length``."""
+    """The wanted number of triangles; None is as many as have edges of ``length``."""
     most: int = 10_000_000
-    """How many triangles there may be at the most."""
+    """Largest number of triangles that is allowed."""
 
     @property
     def varied(self) -> bool:
@@ -114,12 +121,13 @@ def spaced(
     vertices: Floats, triangles: Ints, surface: TrueSurface, creases: Creases | None,
     spacing: Spacing, exact: bool = False,
 ) -> tuple[Sized, int]:  # fmt: skip
-    """The closed surface remeshed as ``spacing`` asks, and how many creases no edges follow.
+    """The closed surface remeshed according to ``spacing``, and the number of creases without
+    edges.
 
-    ``exact``: the triangles are those of the true surface, so creases are among their edges. Varied
-    lengths are found by looking at the errors of a triangulation: they stand for the curvature that
-    its triangles cannot follow. Its own directions are those along which triangles become longer,
-    and across which shorter. Raises TooManyTriangles.
+    With ``exact`` the triangles are those of the true surface, so that creases are among their
+    edges. Varied lengths follow from the errors of a first triangulation, which are large where its
+    triangles do not follow the curvature. Edges become longer along the direction of least
+    curvature, and shorter across it. Raises TooManyTriangles.
     """
     base, smallest, largest, apart = spacing.length, SMALLEST, 1.0, THINNEST
     area = float(triangle_normals(vertices, triangles)[1].sum())
@@ -133,7 +141,7 @@ def spaced(
     if exact:
         points, most = limits(vertices, triangles, creases, longest, beside, apart, shortest)
     else:
-        # Rays would meet the folds of a first surface.
+        # The triangles of a first surface have folds, which rays would take for thin parts.
         points, most = sampled_limits(surface, creases, longest, beside, apart)
     plain = len(points) - (0 if creases is None else len(creases.dense))
     field = LengthField(points, np.maximum(most, shortest))
@@ -181,9 +189,12 @@ def limits(
     vertices: Floats, triangles: Ints, creases: Creases | None, longest: float, beside: float,
     apart: float, shortest: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Points of a surface and the largest lengths there, ``(N, 3), (N,)``: at most ``longest``,
-    less where the shape or a gap is thin, or creases are close to each other: ``apart`` times that
-    distance. In a wedge they are no less than ``beside``, between creases than ``shortest``."""
+    """Points of a surface ``(N, 3)``, and the longest edges there ``(N,)``.
+
+    They are at most ``longest``, and shorter where the shape or a gap is thin. Where creases are
+    close, they are ``apart`` times the distance of these. They are not shorter than ``beside`` in a
+    wedge, and than ``shortest`` between creases.
+    """
     count = SAMPLES
     _, area = triangle_normals(vertices, triangles)
     while True:
@@ -201,7 +212,7 @@ def limits(
 def sampled_limits(
     surface: TrueSurface, creases: Creases | None, longest: float, beside: float, apart: float
 ) -> tuple[Floats, Floats]:
-    """The same at the samples of a surface whose triangles are not known, as far as these tell."""
+    """The same from the samples of ``surface``, for a surface whose triangles are not known."""
     thin = thickness(surface.samples, surface.normals, longest / apart)
     most = np.minimum(apart * thin, longest)
     return _with_creases(surface.samples, most, creases, longest, beside, apart)
@@ -211,7 +222,7 @@ def _with_creases(
     points: Floats, most: Floats, creases: Creases | None, longest: float, shortest: float,
     apart: float,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """``points`` and lengths with those of creases."""
+    """``points`` and ``most``, followed by the points of creases and the longest edges there."""
     if creases is None:
         return points, most
     close = apart * separation(creases.dense, creases.tangents, longest / apart)
@@ -222,9 +233,12 @@ def _with_creases(
 def _affordable(
     field: LengthField, most: Floats, count: int, floor: tuple[float, float], area: float
 ) -> Floats:
-    """The largest lengths ``most (N,)``, raised between close creases, whose points are those from
-    ``count`` on, as far as they would take many triangles more on ``area`` than the larger
-    ``floor`` does."""
+    """The longest edges ``most (N,)``, made longer between close creases if these need too many
+    triangles.
+
+    The points from ``count`` on are those of creases. Triangles are compared with the number for
+    the larger ``floor`` on ``area``.
+    """
 
     def raised(least: float) -> tuple[Floats, float]:
         wanted = most.copy()
@@ -241,7 +255,8 @@ def _affordable(
 
 
 def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
-    """Up to PLACES of ``points (N, 3)`` with the least ``value (N,)``, apart from each other."""
+    """The indices of at most PLACES of ``points (N, 3)`` with the least ``value (N,)``,
+    apart from each other."""
     left = np.flatnonzero(among)
     left = left[np.argsort(value[left], kind="stable")]
     found: list[int] = []
@@ -252,9 +267,11 @@ def distinct(points: Floats, value: Floats, among: NDArray[np.bool_]) -> Ints:
 
 
 def demand(area: float, points: Floats, lengths: Floats, most: Floats) -> Demand:
-    """Of a surface of that ``area`` with ``lengths (N,)`` at its ``points (N, 3)``; ``most (N,)``
-    are those before they were graded, and made no less than LEAST."""
-    # What is thinner than that asks for shorter edges all the same.
+    """The demand of a surface with ``area`` and edge ``lengths (N,)`` at ``points (N, 3)``.
+
+    ``most (N,)`` are the lengths before they were graded and limited to LEAST.
+    """
+    # Parts that are thinner than LEAST allows need shorter edges all the same.
     needed = np.minimum(lengths, np.maximum(most, 0.25 * LEAST))
     worst = distinct(points, most, np.ones(len(points), dtype=bool))
     return Demand(triangles_of(area, needed), points[worst], most[worst])
@@ -264,8 +281,11 @@ def _fitted(
     count: Count, field: LengthField, wanted: Floats, most: Floats,
     between: tuple[float, float], faces: float,
 ) -> Floats:  # fmt: skip
-    """Graded lengths in proportion to ``wanted (N,)`` and no larger than ``most (N,)``, of about
-    ``faces`` triangles; where that many are not enough for thin parts, these get longer ones."""
+    """Graded lengths that give about ``faces`` triangles.
+
+    They are proportional to ``wanted (N,)`` and at most ``most (N,)``. If so few triangles cannot
+    respect that, edges on thin parts become longer, by THINNER at most.
+    """
 
     def scaled(factor: float, thinner: float) -> Floats:
         return field.graded(np.clip(np.minimum(factor * wanted, thinner * most), *between))
@@ -284,8 +304,7 @@ def _fitted(
 
 
 def _counting(mesh: Sized, field: LengthField) -> Count:
-    """What tells how many triangles the surface of ``mesh`` has with lengths at the field's
-    points."""
+    """A function that estimates the number of triangles from lengths at the points of ``field``."""
     near = field.nearest(mesh.vertices[mesh.triangles].mean(axis=1))
     _, areas = triangle_normals(mesh.vertices, mesh.triangles)
 

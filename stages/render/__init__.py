@@ -1,1 +1,1 @@
-"""Cameras, visibility and shading for pictures."""
+"""Cameras, visibility, rasterised pictures and the neural shader."""

@@ -1,7 +1,7 @@
-"""Calibrated cameras: from points to pixels and back.
+"""Calibrated cameras, which map points to pixels and pixels to rays.
 
-Inside, axes are OpenCV's (x right, y down, z forward) and the centre of the pixel in row i and
-column j is at (j + 1/2, i + 1/2).
+Camera axes are those of OpenCV: x to the right, y down, z forward. The centre of the pixel in row i
+and column j is at (j + 1/2, i + 1/2).
 """
 
 from __future__ import annotations
@@ -14,31 +14,36 @@ import numpy as np
 from ..mesh.polygons import Floats, Ints
 
 RIGID = 1e-3
-"""How far a rotation may be from one, as an entry of R R^T - 1."""
+"""The largest entry of ``R R^T - 1`` at which a matrix R still counts as a rotation."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """``c = rotation x + translation`` are a point's coordinates in the camera; its pixel is
-    ``matrix (c / c_z)``, of an orthographic camera ``matrix (c_x, c_y, 1)``."""
+    """A pinhole or orthographic camera.
+
+    A point x has the camera coordinates ``c = rotation x + translation``. Its pixel is
+    ``matrix (c / c_z)``, or ``matrix (c_x, c_y, 1)`` if the camera is orthographic.
+    """
 
     width: int
     height: int
     matrix: Floats
-    """``K (3, 3)``, upper triangular, in pixels (orthographic: pixels a unit of length)."""
+    """The intrinsic matrix ``K (3, 3)``, upper triangular, in pixels. For an orthographic camera
+    its unit is pixels per unit of length."""
     rotation: Floats
     translation: Floats
     orthographic: bool = False
 
     def placed(self, points: Floats) -> Floats:
-        """Coordinates ``(N, 3)`` of ``points`` in the camera's axes."""
+        """Coordinates ``(N, 3)`` of ``points (N, 3)`` in the camera's axes."""
         return np.asarray(points @ self.rotation.T + self.translation)
 
     def project(self, points: Floats) -> Floats:
-        """Pixel coordinates and nearness ``(N, 3)``: u, v, and what grows towards the camera and is
-        linear over the image of a plane, ``1 / c_z`` or ``-c_z`` of an orthographic one.
+        """Pixel coordinates u, v and inverse depth ``(N, 3)`` of ``points (N, 3)``.
 
-        Behind a perspective camera the nearness is not positive.
+        The third column is ``1 / c_z``, or ``-c_z`` if the camera is orthographic. It grows towards
+        the camera, and it is linear over the picture of a plane. It is not positive behind a
+        perspective camera.
         """
         at = self.placed(points)
         if self.orthographic:
@@ -50,7 +55,8 @@ class Camera:
         return np.column_stack([pixel, nearness])
 
     def jacobian(self, points: Floats) -> Floats:
-        """Derivatives ``(N, 2, 3)`` of the pixel coordinates of ``points (N, 3)``."""
+        """Derivatives ``(N, 2, 3)`` of the pixel coordinates by the coordinates
+        of ``points (N, 3)``."""
         at = self.placed(points)
         flat = np.zeros((len(points), 2, 3))
         flat[:, 0, 0] = flat[:, 1, 1] = 1.0
@@ -60,7 +66,7 @@ class Camera:
         return np.asarray(self.matrix[:2, :2] @ flat @ self.rotation)
 
     def size_of_pixel(self, points: Floats) -> Floats:
-        """Length ``(N,)`` that a pixel covers at ``points (N, 3)``."""
+        """The length ``(N,)`` that one pixel covers at ``points (N, 3)``."""
         focal = np.sqrt(np.abs(self.matrix[0, 0] * self.matrix[1, 1]))
         if self.orthographic:
             return np.full(len(points), 1 / focal)
@@ -68,11 +74,11 @@ class Camera:
 
     @property
     def position(self) -> Floats:
-        """Where a perspective camera is ``(3,)``."""
+        """The centre ``(3,)`` of a perspective camera."""
         return np.asarray(-self.rotation.T @ self.translation)
 
     def rays(self, pixels: Floats) -> Floats:
-        """Unit vectors ``(N, 3)`` from the camera through ``pixels (N, 2)``."""
+        """Unit vectors ``(N, 3)`` along the rays through ``pixels (N, 2)``."""
         if self.orthographic:
             return np.tile(self.rotation[2], (len(pixels), 1))
         flat = (pixels - self.matrix[:2, 2]) @ np.linalg.inv(self.matrix[:2, :2]).T
@@ -80,7 +86,7 @@ class Camera:
         return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))
 
     def pixel_centres(self) -> Floats:
-        """Of all pixels, row by row, ``(H W, 2)``."""
+        """The centres ``(H W, 2)`` of all pixels, row by row."""
         row, column = np.divmod(np.arange(self.width * self.height), self.width)
         return np.column_stack([column, row]) + 0.5
 
@@ -93,7 +99,7 @@ class Camera:
         return replace(self, matrix=matrix, translation=moved / spacing)
 
     def shrunk(self, factor: int) -> Camera:
-        """For pictures whose pixels are blocks of ``factor`` by ``factor``."""
+        """The camera of pictures whose pixels are blocks of ``factor`` by ``factor`` of these."""
         matrix = self.matrix.copy()
         matrix[:2] /= factor
         return replace(
@@ -102,7 +108,7 @@ class Camera:
 
 
 def rigid(rotation: Floats) -> bool:
-    """Whether ``rotation (3, 3)`` is one: orthonormal and right-handed."""
+    """Whether ``rotation (3, 3)`` is orthonormal and right-handed."""
     if not np.isfinite(rotation).all():
         return False
     return bool(
@@ -113,10 +119,11 @@ def rigid(rotation: Floats) -> bool:
 def looking(
     position: Floats, at: Floats, up: Floats, matrix: Floats, size: int, orthographic: bool
 ) -> Camera:
-    """A camera at ``position`` whose axis goes through ``at``, with square pictures."""
+    """A camera at ``position`` that looks at ``at``. Its pictures have
+    ``size`` by ``size`` pixels."""
     forward = (at - position) / np.linalg.norm(at - position)
     right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # along the vertical any direction is to the right
+    if np.linalg.norm(right) < 1e-6:  # a camera that looks along ``up`` needs another vector
         right = np.cross(forward, np.roll(up, 1))
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
@@ -124,7 +131,11 @@ def looking(
 
 
 def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
-    """The triangle that each pixel centre sees ``(H, W)``, -1 for none; of a closed surface."""
+    """The triangle ``(H, W)`` of a closed surface that each pixel centre sees, -1 where it sees
+    none.
+
+    ``screen (V, 3)`` is what ``Camera.project`` gives for the vertices.
+    """
     from . import visibility
 
     seen = np.empty((camera.height, camera.width), np.int64)
@@ -134,13 +145,13 @@ def visible(camera: Camera, screen: Floats, triangles: Ints) -> Ints:
 
 
 def facing(screen: Floats, triangles: Ints) -> Any:
-    """Whether triangles are turned to the camera ``(T,)``."""
+    """Whether each triangle faces the camera, ``(T,)``. ``screen (V, 3)`` is as in ``visible``."""
     a, b, c = (screen[triangles[:, k], :2] for k in range(3))
     return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) < (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
 
 
 def ray_matrix(camera: Camera) -> Floats:
-    """``(3, 3)``: times (u, v, 1) it is along the ray through that pixel."""
+    """The matrix ``(3, 3)`` that maps (u, v, 1) to a vector along the ray through that pixel."""
     if camera.orthographic:
         return np.column_stack([np.zeros((3, 2)), camera.rotation[2]])
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.matrix))

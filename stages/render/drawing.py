@@ -1,4 +1,4 @@
-"""Colours, coverage and normals of a coloured mesh as a camera sees it."""
+"""Colour, coverage and normals of a coloured mesh, as a camera sees them."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from ..mesh.polygons import Floats, Ints
 from .cameras import Camera
 
 Colours = Callable[[Ints, Floats], Floats]
-"""``colours(triangle (N,), weights (N, 3))``: RGB from 0 to 1 at points of triangles."""
+"""A function that gives RGB ``(N, 3)``, from 0 to 1, at N points of triangles. Its arguments are
+the triangles ``(N,)`` and the barycentric weights ``(N, 3)`` of the points."""
 
 
 @dataclass(frozen=True)
 class Fragments:
-    """Where a camera's rays through pixel centres first meet a mesh, N of them."""
+    """The N points at which rays through pixel centres first meet a mesh."""
 
     rows: Ints
     columns: Ints
     triangle: Ints
     weights: Floats
-    """Of the triangle's corners, in space ``(N, 3)``."""
+    """Barycentric weights ``(N, 3)`` of the points in their triangles."""
 
 
 def fragments(vertices: Floats, triangles: Ints, camera: Camera, both: bool = True) -> Fragments:
-    """Of the triangles that face the camera, or of ``both`` sides."""
+    """The fragments of triangles that face the camera or, with ``both``, of all triangles."""
     from . import visibility
 
     screen = camera.project(vertices)
@@ -45,7 +46,7 @@ def fragments(vertices: Floats, triangles: Ints, camera: Camera, both: bool = Tr
         return (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
 
     weights = np.stack([doubled(b, c), doubled(c, a), doubled(a, b)], axis=1)
-    if not camera.orthographic:  # even steps in the picture are not even in space
+    if not camera.orthographic:  # weights in the picture are not those in space
         weights = weights * corner[:, :, 2]
     weights = weights / weights.sum(axis=1, keepdims=True)
     return Fragments(rows, columns, triangle, weights)
@@ -58,8 +59,11 @@ def draw(
     camera: Camera,
     samples: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """RGBA ``(H, W, 4)`` and unit normals ``(H, W, 3)``, zero outside, with ``samples`` by
-    ``samples`` rays a pixel. Without ``colours`` a mesh is grey, lit from the camera."""
+    """RGBA ``(H, W, 4)`` and unit normals ``(H, W, 3)``, both zero outside the object.
+
+    ``samples`` by ``samples`` rays are cast for each pixel. Without ``colours`` the mesh is grey
+    and lit from the camera.
+    """
     matrix = camera.matrix.copy()
     matrix[:2] *= samples
     fine = Camera(

@@ -1,4 +1,4 @@
-"""Pictures as files: reading them, PNG and GIF bytes."""
+"""Reads pictures, and encodes them as PNG and GIF."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
 FRAME_MS = 70
-"""Of an animation."""
+"""Duration of a frame of an animation, in milliseconds."""
 HEIF = (".heic", ".heif")
-"""Endings of the pictures that phones take, which Pillow alone does not read."""
+"""Suffixes of pictures that phones take, and that Pillow alone does not read."""
 
 
 def read(path: Path, by_range: bool = False) -> NDArray[np.uint8]:
-    """The picture at ``path``, ``(H, W)`` grey, ``(H, W, 3)`` or, with alpha, ``(H, W, 4)``.
-    Grey of 16 bits is taken of 65,535, or ``by_range`` of its largest value.
+    """The picture at ``path``: ``(H, W)`` if grey, ``(H, W, 3)`` if RGB, ``(H, W, 4)`` if RGBA.
 
-    Raises InputError when it is missing or cannot be read, BackendMissing as ``_open`` does.
+    Grey of 16 bits is scaled to 8 bits: from 65,535 or, with ``by_range``, from its largest value.
+    Raises InputError if the file is missing or cannot be read, and BackendMissing if it is HEIC and
+    the library for it is not installed.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -34,7 +35,7 @@ def read(path: Path, by_range: bool = False) -> NDArray[np.uint8]:
             opened.load()
             if opened.mode in ("1", "L"):
                 mode = "L"
-            elif opened.mode in ("I;16", "I;16B", "I"):  # 16 bits of grey
+            elif opened.mode in ("I;16", "I;16B", "I"):  # grey pictures of 16 bits
                 grey = np.asarray(opened).astype(np.int64)
                 scaled = 255 * grey // max(1, int(grey.max())) if by_range else grey >> 8
                 return np.asarray(scaled, dtype=np.uint8)
@@ -51,14 +52,14 @@ def read(path: Path, by_range: bool = False) -> NDArray[np.uint8]:
 
 
 def _open(path: Path) -> Picture:
-    """Raises InputError when there is no file, BackendMissing for HEIC without its library."""
+    """The opened picture. Raises as ``read`` does."""
     from PIL import Image
 
     if not path.is_file():
         raise InputError(f"{path}: this picture is missing; restore it, or remove its view")
     if path.suffix.lower() in HEIF:
         try:
-            # Its wheels only decode: those of pillow-heif carry an encoder under the GPL.
+            # The wheels of pillow-heif contain an encoder under the GPL; these only decode.
             import pi_heif
         except ImportError:
             raise BackendMissing(
@@ -70,7 +71,7 @@ def _open(path: Path) -> Picture:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Width and height of the picture at ``path``, by its header. Raises as ``read`` does."""
+    """Width and height of the picture at ``path``, from its header. Raises as ``read`` does."""
     from PIL import UnidentifiedImageError
 
     try:
@@ -81,7 +82,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def png(image: NDArray[np.float64]) -> bytes:
-    """An 8-bit PNG of ``image (H, W)``, ``(H, W, 3)`` or ``(H, W, 4)``, values from 0 to 1."""
+    """A PNG of 8 bits; ``image`` is ``(H, W)``, ``(H, W, 3)`` or ``(H, W, 4)``, from 0 to 1."""
     from PIL import Image
 
     out = io.BytesIO()
@@ -90,7 +91,7 @@ def png(image: NDArray[np.float64]) -> bytes:
 
 
 def gif(frames: Sequence[NDArray[np.float64]]) -> bytes:
-    """An endless animation of ``frames (H, W, 3)`` with values from 0 to 1."""
+    """An endlessly repeated animation of ``frames (H, W, 3)`` with values from 0 to 1."""
     from PIL import Image
 
     first, *others = (

@@ -1,4 +1,4 @@
-"""A lamp with its light on: path traced by Mitsuba in a child process, or rasterised."""
+"""A picture of a lamp with its light on, by path tracing (Mitsuba) or by rasterising."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from ..errors import NumericalFailure
 from ..mesh.polygons import Ints
 
 AZIMUTH, ELEVATION = -60.0, 16.0
-"""Of the camera, in degrees."""
+"""Direction from the object to the camera, in degrees."""
 SIZE = 640
+"""Width and height of the picture, in pixels."""
 SAMPLES = 128
+"""Light paths that are traced for each pixel."""
 SECONDS = 1800
+"""The time after which Mitsuba is stopped."""
 
 
 def traced() -> bool:
-    """Whether Mitsuba is there."""
+    """Whether Mitsuba is installed."""
     from importlib.util import find_spec
 
     return find_spec("mitsuba") is not None
@@ -31,7 +34,7 @@ def traced() -> bool:
 def rasterised(
     vertices: NDArray[np.float32], triangles: Ints, light: tuple[float, float, float] | None
 ) -> bytes:
-    """A quick picture in place of ``png``, in which nothing casts shadows."""
+    """A PNG that is made quickly, without Mitsuba or shadows. Arguments are as in ``png``."""
     from . import image_file, raster
 
     view = raster.view("z", AZIMUTH, ELEVATION)
@@ -51,10 +54,10 @@ def png(
     samples: int = SAMPLES,
     size: int = SIZE,
 ) -> bytes:
-    """The PNG of an object in mm that stands at z = 0, in a dark room with a ``light`` inside it
-    (None: in daylight).
+    """A path-traced PNG of an object that stands on the plane z = 0; its unit is the millimetre.
 
-    Raises NumericalFailure when Mitsuba fails.
+    With a ``light (3,)`` inside the object the room is dark; without one the object stands in
+    daylight. Raises NumericalFailure if Mitsuba fails or takes longer than SECONDS.
     """
     from ..formats import ply
     from ..mesh.polygons import PolygonMesh

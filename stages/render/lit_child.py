@@ -1,4 +1,4 @@
-"""The child process of ``lit``: Mitsuba's variants may end the process that they run in."""
+"""The child process of ``lit``: Mitsuba may end the process that loads it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 FIELD_OF_VIEW = 30.0
+"""Of the camera, in degrees."""
 
 
 def scene(asked: dict[str, Any]) -> dict[str, Any]:
-    """A plastic object on a table, with a warm sphere of light inside it or a bright sky."""
+    """Mitsuba's scene: a plastic object on a table, with a warm light in it or a bright sky."""
     import mitsuba as mi
 
     low, high = np.array(asked["low"]), np.array(asked["high"])
@@ -20,7 +21,7 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
     reach = 0.5 * float(np.linalg.norm(high - low))
     turn, rise = np.radians([asked["azimuth"], asked["elevation"]])
     towards = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
-    # So far away that the corners of its box are in the picture.
+    # The camera is so far away that all corners of the bounding box are in the picture.
     across = np.cross([0.0, 0.0, 1.0], towards) / np.cos(rise)
     corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3) - middle
     beside = np.abs(corners @ np.stack([across, np.cross(towards, across)], axis=1))
@@ -47,7 +48,8 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
             "type": "ply",
             "filename": asked["mesh"],
             "face_normals": True,
-            # Plastic that lets some light through: a plate, which has two sides, a quarter of this.
+            # The plastic lets some light through. A plate has two sides, so that it lets a quarter
+            # of this through.
             "bsdf": {
                 "type": "principledthin",
                 "base_color": {"type": "rgb", "value": [0.86, 0.84, 0.8]},
@@ -83,7 +85,7 @@ def scene(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Draw what the first argument, JSON, asks for."""
+    """Draw the picture that the first argument describes as JSON."""
     import drjit
     import mitsuba as mi
 

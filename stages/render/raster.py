@@ -1,4 +1,4 @@
-"""Visibility by z-buffer and the pictures made of it; orthographic, on the CPU, no display."""
+"""Pictures by z-buffer with an orthographic camera, on the CPU and without a display."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ LINE = np.array([0.16, 0.17, 0.22])
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic camera looking along ``-direction`` with ``up`` upward."""
+    """An orthographic camera that looks along ``-direction``; ``up`` is upward in its pictures."""
 
     direction: Floats
     up: Floats
 
     def frame(self) -> Floats:
-        """Rows: right, up, towards the viewer."""
+        """Unit vectors as rows ``(3, 3)``: to the right, upward, and towards the viewer."""
         towards = self.direction / np.linalg.norm(self.direction)
         right = np.cross(self.up, towards)
         right /= np.linalg.norm(right)
@@ -31,7 +31,11 @@ class View:
 
 
 def view(up: str, azimuth: float = 35.0, elevation: float = 18.0) -> View:
-    """A camera for an object whose ``up`` axis is x, y or z, maybe with a minus; in degrees."""
+    """A camera for an object whose upward axis is ``up``: x, y or z, with a minus if it points
+    down.
+
+    ``azimuth`` and ``elevation`` are in degrees.
+    """
     axis = "xyz".index(up[-1])
     sign = -1.0 if up.startswith("-") else 1.0
     vertical, first, second = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -46,18 +50,19 @@ def view(up: str, azimuth: float = 35.0, elevation: float = 18.0) -> View:
 
 @dataclass(frozen=True)
 class Visible:
-    """Per pixel: the triangle seen ``(H, W)``, -1 for none, and its depth towards the viewer."""
+    """What each pixel shows: the triangle ``(H, W)``, -1 for none, and its depth ``(H, W)``, which
+    grows towards the viewer."""
 
     triangle: Ints
     depth: Floats
     pixel: float
-    """Edge of a pixel in the model's unit."""
+    """Edge of a pixel, in the unit of the model."""
 
 
 def rasterize(vertices: Floats, triangles: Ints, camera: View, width: int, height: int) -> Visible:
-    """Which triangle each pixel centre sees, the whole object fitted into the picture.
+    """The triangle that each pixel centre sees when the whole object is fitted into the picture.
 
-    Triangles turned away are skipped: the surfaces here are closed and face outward.
+    Triangles that face away are skipped, because the surfaces here are closed and face outward.
     """
     from . import visibility
 
@@ -81,7 +86,7 @@ def _normals(vertices: Floats, triangles: Ints) -> Floats:
 
 
 def _occlusion(visible: Visible) -> Floats:
-    """Darkening of pixels that lie behind their surroundings, 0 to 1."""
+    """How much each pixel is darkened, from 0 to 1, because it lies behind its surroundings."""
     from scipy.ndimage import gaussian_filter
 
     solid = visible.triangle >= 0
@@ -97,7 +102,7 @@ def _occlusion(visible: Visible) -> Floats:
 
 
 def _outlines(group: Ints) -> NDArray[np.bool_]:
-    """Pixels whose right or lower neighbour belongs to another group."""
+    """The pixels whose right or lower neighbour belongs to another group."""
     line = np.zeros(group.shape, dtype=bool)
     line[:, :-1] |= group[:, :-1] != group[:, 1:]
     line[:-1] |= group[:-1] != group[1:]
@@ -122,8 +127,8 @@ def shaded(
 ) -> Floats:
     """A picture ``(height, width, 3)`` in daylight.
 
-    ``groups (T,)`` are the polygons of the triangles, outlined where they meet (None: no lines);
-    ``colors (T, 3)`` or ``(3,)``.
+    ``groups (T,)`` is the polygon of each triangle, and lines are drawn where polygons meet; None
+    draws no lines. ``colors`` is ``(T, 3)`` or ``(3,)``, from 0 to 1.
     """
     step = SUPERSAMPLING
     visible = rasterize(vertices, triangles, camera, width * step, height * step)
@@ -151,9 +156,10 @@ def lit(
     width: int = 640,
     height: int = 640,
 ) -> Floats:
-    """A picture of a lattice at night with a warm light at ``lamp`` inside it.
+    """A picture ``(height, width, 3)`` of an object at night, with a warm light at ``lamp`` inside
+    it.
 
-    The light casts no shadows: what faces it glows, what turns away stays dim.
+    The light casts no shadows: triangles that face it are bright, and the others are dim.
     """
     step = SUPERSAMPLING
     visible = rasterize(vertices, triangles, camera, width * step, height * step)

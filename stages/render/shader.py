@@ -1,5 +1,7 @@
-"""A neural deferred shader: colour from position, normal and viewing direction (Worchel et al.
-2022), an own network."""
+"""A neural deferred shader (Worchel et al. 2022).
+
+Two small networks of our own design compute a colour from position, normal and viewing direction.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,19 @@ import torch
 from ..mesh.polygons import Floats
 
 OCTAVES = 4
+"""Number of frequencies at which a position is encoded."""
 CODED = 3 + 6 * OCTAVES
-"""Channels of a position: itself, and sine and cosine of each octave."""
+"""Channels of an encoded position: its coordinates, and sine and cosine at each frequency."""
 AT_ONCE = 200_000
-"""Points that are coloured at a time."""
+"""Number of points that are coloured at a time, which bounds the memory."""
 
 
 def layers(width: int, random: np.random.Generator) -> dict[str, torch.Tensor]:
-    """Weights and biases of the two networks, float32: a position becomes ``width`` features;
-    these, a normal and a direction become RGB."""
+    """Initial weights and biases of the two networks, float32.
+
+    The first network turns a position into ``width`` features. The second turns these, a normal and
+    a direction into RGB.
+    """
     sizes = {
         "position.0": (CODED, width),
         "position.1": (width, width),
@@ -31,7 +37,7 @@ def layers(width: int, random: np.random.Generator) -> dict[str, torch.Tensor]:
     }
     found = {}
     for name, (into, out) in sizes.items():
-        bound = math.sqrt(6 / into)  # He's, for rectified units
+        bound = math.sqrt(6 / into)  # He et al. 2015, for rectified linear units
         weight = random.uniform(-bound, bound, (out, into)).astype(np.float32)
         found[f"{name}.weight"] = torch.from_numpy(weight)
         found[f"{name}.bias"] = torch.zeros(out)
@@ -39,7 +45,7 @@ def layers(width: int, random: np.random.Generator) -> dict[str, torch.Tensor]:
 
 
 def coded(position: torch.Tensor) -> torch.Tensor:
-    """Positions ``(N, 3)`` within about 1 of the origin, as ``(N, CODED)``."""
+    """The encoding ``(N, CODED)`` of positions ``(N, 3)`` that lie within about 1 of the origin."""
     parts = [position]
     for octave in range(OCTAVES):
         turn = (2.0**octave * math.pi) * position
@@ -53,7 +59,7 @@ def shade(
     normal: torch.Tensor,
     direction: torch.Tensor,
 ) -> torch.Tensor:
-    """RGB ``(N, 3)`` from 0 to 1; ``direction`` is that of the ray, a unit vector as ``normal``."""
+    """RGB ``(N, 3)`` from 0 to 1. Normals and ray directions are unit vectors ``(N, 3)``."""
 
     def layer(name: str, x: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.linear(x, weights[f"{name}.weight"], weights[f"{name}.bias"])
@@ -66,19 +72,19 @@ def shade(
 
 
 class Shader:
-    """A trained shader of points of a surface in its own coordinates, about ``centre`` and
-    ``size``."""
+    """A trained shader. Points are in the surface's coordinates; the network sees
+    ``(x - centre) / size``."""
 
     def __init__(self, weights: Mapping[str, Any], centre: Floats, size: float) -> None:
         self.weights = {name: torch.as_tensor(values) for name, values in weights.items()}
         self.centre, self.size = centre, size
 
     def placed(self, points: Floats) -> torch.Tensor:
-        """``points (N, 3)`` in the network's coordinates."""
+        """``points (N, 3)`` in the coordinates of the network."""
         return torch.from_numpy(((points - self.centre) / self.size).astype(np.float32))
 
     def __call__(self, points: Floats, normals: Floats, directions: Floats) -> Floats:
-        """RGB ``(N, 3)`` from 0 to 1."""
+        """RGB ``(N, 3)`` from 0 to 1. Normals and ray directions are unit vectors ``(N, 3)``."""
         parts = []
         with torch.no_grad():
             for start in range(0, len(points), AT_ONCE):

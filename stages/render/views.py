@@ -1,4 +1,4 @@
-"""Calibrated views of an object: cameras, masks and normals, of one size."""
+"""Calibrated views of an object: cameras, masks and normal maps of one size."""
 
 from __future__ import annotations
 
@@ -11,35 +11,39 @@ from ..mesh.polygons import Floats
 from .cameras import Camera
 
 UNIT = 32767
-"""Length of a stored unit normal."""
+"""The length of a unit normal as it is stored."""
 MOST_VIEWS = 66
-"""Views in a step, at most (the paper's number)."""
+"""Largest number of views that one training step uses (the paper's number)."""
 COVERED = 128
-"""Of 255, from which a pixel of a mask belongs to the object."""
+"""The value of a mask, out of 255, from which on a pixel belongs to the object."""
 
 
 @dataclass(frozen=True)
 class Views:
-    """``masks (N, H, W) uint8``, 255 where the object covers a pixel; unit ``normals (N, H, W, 3)
-    int16`` in the coordinates of the object, in units of 1 / UNIT, zero where there is none."""
+    """N views of one object.
+
+    ``masks (N, H, W) uint8`` are 255 where the object covers a pixel.
+    ``normals (N, H, W, 3) int16`` are unit normals in the coordinates of the object, times UNIT,
+    and zero where a pixel has none.
+    """
 
     cameras: tuple[Camera, ...]
     masks: NDArray[np.uint8]
     normals: NDArray[np.int16] | None
     notes: tuple[str, ...] = ()
-    """What was assumed when they were read, in sentences."""
+    """Assumptions that were made when the views were read, one sentence each."""
 
     def __len__(self) -> int:
         return len(self.cameras)
 
     def in_frame(self, origin: Floats, spacing: float) -> Views:
-        """For coordinates ``(x - origin) / spacing``."""
+        """The same views for coordinates ``(x - origin) / spacing``."""
         return replace(
             self, cameras=tuple(camera.in_frame(origin, spacing) for camera in self.cameras)
         )
 
     def shrunk(self, factor: int) -> Views:
-        """At a size divided by ``factor``, which must divide it."""
+        """The views at a size that is divided by ``factor``. The size must be a multiple of it."""
         if factor == 1:
             return self
         cameras = tuple(camera.shrunk(factor) for camera in self.cameras)
@@ -54,7 +58,7 @@ class Views:
 
 
 def _blocks(values: NDArray[np.generic], factor: int) -> NDArray[np.float32]:
-    """Means over blocks of pixels of ``values (N, H, W, k)``."""
+    """The means of ``values (N, H, W, k)`` over blocks of ``factor`` by ``factor`` pixels."""
     count, height, width, depth = values.shape
     height, width = height // factor, width // factor
     result = np.zeros((count, height, width, depth), np.float32)

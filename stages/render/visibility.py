@@ -1,6 +1,6 @@
-"""The inner loops of rasterising: visibility, silhouettes and normals seen, compiled by numba.
+"""The inner loops of rasterising, compiled by numba: visibility, silhouettes, and normals.
 
-They release the interpreter's lock, so that several views are drawn at once by threads.
+They release the interpreter's lock, so that threads draw several views at once.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from ..compiled import compiled
 def paint(
     screen: Any, triangles: Any, both: bool, positive: bool, seen: Any, nearest: Any
 ) -> None:  # pragma: no cover
-    """Which of ``triangles (T, 3)`` each pixel centre sees: ``seen (H, W)``, -1 for none, and how
-    near it is there, ``nearest (H, W)``, by corners ``screen (V, 3)``: u, v, nearness.
+    """Find the triangle of ``triangles (T, 3)`` that each pixel centre sees.
 
-    Triangles turned away are skipped unless ``both``; with ``positive``, those with a corner
-    whose nearness is not (it lies behind the camera).
+    ``screen (V, 3)`` has u, v and inverse depth of the vertices, as ``Camera.project`` gives them.
+    The triangle is written to ``seen (H, W)``, -1 for none, and its inverse depth to
+    ``nearest (H, W)``. Triangles that face away are skipped unless ``both`` is set. With
+    ``positive``, triangles that have a corner behind the camera are skipped.
     """
     height, width = seen.shape
     seen[:] = -1
@@ -59,13 +60,15 @@ def paint(
 def crossings(
     screen: Any, ends: Any, sides: Any, facing: Any, seen: Any
 ) -> Any:  # pragma: no cover
-    """Where the outline of what is ``seen (H, W)`` crosses the lines between the centres of
-    neighbouring pixels, of which one is covered and the other not.
+    """Where the outline of the object crosses the lines between neighbouring pixel centres.
 
-    Two arrays ``(2, H, W)``, for pairs in a row and in a column, at the first pixel of the pair:
-    the edge that crosses, -1 for none, and at which share of the way from the covered centre.
-    Edges of the outline are those between triangles ``sides (E, 2)`` of which one is ``facing`` the
-    camera and the other not; the outermost one is where the shape ends.
+    Only pairs of centres count of which one sees the object, by ``seen (H, W)``, and the other does
+    not. The outline consists of the edges ``ends (E, 2)`` whose two triangles ``sides (E, 2)``
+    differ in ``facing (T,)``. If several of them cross a line, the outermost one counts.
+
+    Returns two arrays ``(2, H, W)``, whose first index is 0 for pairs in a row and 1 for pairs in a
+    column; entries are at the first pixel of a pair. The first array has the edge that crosses, or
+    -1. The second has the distance of the crossing from the covered centre, in pixels.
     """
     height, width = seen.shape
     share = np.zeros((2, height, width), np.float32)
@@ -106,12 +109,12 @@ def crossings(
 def silhouette(
     screen: Any, ends: Any, sides: Any, facing: Any, seen: Any, target: Any, gradient: Any
 ) -> float:  # pragma: no cover
-    """Mean squared difference of the coverage and ``target (H, W)``, and its derivatives by the
-    pixel coordinates, added to ``gradient (V, 2)``; for the other arguments see ``crossings``.
+    """Mean squared difference between the coverage and ``target (H, W)``.
 
-    Coverage is whether a pixel's centre sees a triangle. Where the outline crosses between two
-    centres at a share s of the way, the pixel that holds the crossing gains ``s - 1/2``: the outer
-    one more than nothing, or the inner one less than all.
+    Its derivatives by the pixel coordinates are added to ``gradient (V, 2)``. The other arguments
+    are as in ``crossings``. The coverage of a pixel is 1 if its centre sees the object, else 0.
+    Where the outline crosses at a distance s from the covered centre, ``s - 1/2`` is added to the
+    pixel that contains the crossing, so that the coverage is continuous.
     """
     height, width = seen.shape
     owner, share = crossings(screen, ends, sides, facing, seen)
@@ -162,9 +165,12 @@ def silhouette(
 def outline(
     screen: Any, ends: Any, sides: Any, facing: Any, seen: Any, distance: Any, found: Any
 ) -> None:  # pragma: no cover
-    """What lies under the outline of what is seen, summed by edge, added to ``found (E, 5)``: the
-    number of crossings, their shares of the way along the edge, ``distance (H, W)`` there, and its
-    derivatives by u and v; for the other arguments see ``crossings``."""
+    """Sum, for each edge, of values at the points where the outline crosses lines of pixel centres.
+
+    Added to ``found (E, 5)``: the number of crossings, their positions along the edge from 0 to 1,
+    ``distance (H, W)`` interpolated there, and its derivatives by u and by v. The other arguments
+    are as in ``crossings``.
+    """
     height, width = seen.shape
     owner, _ = crossings(screen, ends, sides, facing, seen)
     for axis in range(2):
@@ -193,11 +199,12 @@ def outline(
 
 @compiled
 def normals_seen(seen: Any, target: Any, ray: Any, sums: Any) -> float:  # pragma: no cover
-    """Add the unit normals ``target (H, W, 3)``, in 32767ths, with their weights to the ``sums
-    (T, 3)`` of the triangles that are seen there; returns the sum of the weights.
+    """Add weighted normals of a picture to ``sums (T, 3)``, each to the triangle that its pixel
+    sees.
 
-    A weight is ``exp(-c)`` for ``c = <normal, ray>`` up to -0.1, else 1; the ray through a pixel
-    is along ``ray (3, 3)`` times (u, v, 1). Where the target is zero there is none.
+    ``target (H, W, 3)`` has unit normals times 32767, zero where there is none. ``ray (3, 3)`` maps
+    (u, v, 1) to a vector along the ray. For the cosine c of normal and ray the weight is
+    ``exp(-c)`` if c is at most -0.1, else 1. Returns the sum of the weights.
     """
     height, width = seen.shape
     total = 0.0

@@ -1,4 +1,4 @@
-"""The one training loop: Adam, a schedule, checkpoints, and a history of the losses."""
+"""The training loop with Adam: learning rates, checkpoints, and the history of the losses."""
 
 from __future__ import annotations
 
@@ -21,29 +21,30 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 """Adam's constants (Kingma and Ba 2015)."""
 
 LESS = 1e-3
-"""Part of the total loss that an iteration must win to count, where training may end early."""
+"""Smallest relative decrease of the total loss that counts as progress, if
+training may end early."""
 
 Losses = Callable[[int], dict[str, torch.Tensor]]
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast."""
+    """Number of iterations and learning rates."""
 
     iterations: int
     rate: float
     decay: Literal["constant", "cosine", "halving"]
     checkpoint_every: int
-    """Iterations after which there may be a checkpoint; a multiple of every interval at which
-    ``losses`` refreshes what it caches, so that a resumed run repeats the interrupted one bit by
-    bit."""
+    """Number of iterations between checkpoints. It must be a multiple of each interval
+    at which ``losses`` renews cached values, so that a resumed run gives the same bits
+    as an uninterrupted one."""
     patience: int | None = None
-    """Iterations after which training ends if none of them was better than the best before by
-    LESS of it; None never ends early."""
+    """Training ends after this number of iterations without progress; None never ends it early."""
     halvings: tuple[float, ...] = ()
-    """Shares of the iterations after which the rate is halved, where it decays by halving."""
+    """Shares of the iterations after which the learning rate is halved, if ``decay`` is halving."""
 
     def rate_at(self, iteration: int) -> float:
+        """The learning rate at ``iteration``, counted from 0."""
         if self.decay == "constant":
             return self.rate
         if self.decay == "halving":
@@ -55,7 +56,7 @@ class Schedule:
 class Moments:
     """Adam's running means of gradients and of their squares, for named tensors.
 
-    Written out: importing torch.optim costs two seconds, more than some stages need in all.
+    It does not use torch.optim, whose import takes two seconds, more than some stages need in all.
     """
 
     def __init__(self, parameters: Mapping[str, torch.Tensor]) -> None:
@@ -64,7 +65,7 @@ class Moments:
         self.squares = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
 
     def step(self, gradients: Sequence[torch.Tensor], iteration: int, rate: float) -> None:
-        """Move the parameters; ``iteration`` counts from 0."""
+        """Update the parameters in place; ``iteration`` counts from 0."""
         rate /= 1 - BETA1 ** (iteration + 1)
         with torch.no_grad():
             for (name, tensor), gradient in zip(self.parameters.items(), gradients, strict=True):
@@ -75,7 +76,7 @@ class Moments:
                 tensor.addcdiv_(mean, scale, value=-rate)
 
     def as_arrays(self) -> dict[str, np.ndarray]:
-        """Parameters and moments, to be stored."""
+        """Parameters and moments as arrays to be stored."""
         arrays = {}
         for name, tensor in self.parameters.items():
             arrays[name] = tensor.detach().cpu().numpy()
@@ -84,7 +85,7 @@ class Moments:
         return arrays
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take back what ``as_arrays`` gave."""
+        """Set parameters and moments from what ``as_arrays`` returned."""
         with torch.no_grad():
             for name, tensor in self.parameters.items():
                 tensor.copy_(torch.as_tensor(arrays[name]))
@@ -103,9 +104,9 @@ def adam(
 ) -> np.ndarray:
     """Minimise ``sum of weights[k] * losses(iteration)[k]`` over ``parameters``, in place.
 
-    Resumes from the newest checkpoint. Returns the history ``(iterations, len(weights))`` of the
-    unweighted losses, shorter where it ended early. Raises NumericalFailure when a loss or gradient
-    is not finite.
+    Resumes from the newest checkpoint. Returns the unweighted losses
+    ``(iterations, len(weights))``, with fewer rows if training ended early. Raises NumericalFailure
+    if a loss or gradient is not finite.
     """
     tensors = list(parameters.values())
     moments = Moments(parameters)
@@ -144,7 +145,7 @@ def _state(more: Mapping[str, np.ndarray], moments: Moments) -> dict[str, np.nda
 
 
 def _at_rest(totals: np.ndarray, patience: int | None) -> bool:
-    """Whether the last ``patience`` of ``totals`` won nothing over those before."""
+    """Whether the last ``patience`` of ``totals`` brought no progress."""
     if patience is None or len(totals) <= patience:
         return False
     return bool(totals[-patience:].min() > (1 - LESS) * totals[:-patience].min())

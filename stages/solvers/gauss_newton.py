@@ -1,4 +1,8 @@
-"""The loop of damped Gauss-Newton steps, for whatever problem gives residuals and derivatives."""
+"""The loop of damped Gauss-Newton steps for a problem that gives residuals and derivatives.
+
+The damping differs from place to place. A place is a group of unknowns, such as a triangle, at
+which a step can be shortened on its own.
+"""
 
 from __future__ import annotations
 
@@ -13,39 +17,42 @@ from ..mesh.polygons import Floats
 from .least_squares import Block, GaussNewton
 
 DAMPING = 1e-2, 1e-4, 1e2
-"""The first, the smallest and the largest."""
+"""The first, the smallest and the largest damping."""
 EASIER, HARDER = 3.0, 5.0
-"""What the damping is divided by where a step was taken whole, and multiplied with elsewhere."""
+"""Damping is divided by the first number where a step was taken whole, and multiplied by
+the second elsewhere."""
 TRIALS, SHORTER = 5, 0.3
-"""How often a step is shortened where it makes things worse, and the factor; the last time the step
-is not taken there."""
+"""Number of times that a step is tried, and the factor by which it is shortened where residuals
+grow. The last shortening is to 0."""
 WORSE = 0.1, 0.5, 0.5
-"""By how much the sum of squares at a place may grow, since its neighbours may gain more: by the
-first, and this share of what it was, but the share by no more than the last."""
+"""Largest growth of the sum of squares at a place: the first number, plus the smaller of the third
+and the second times the sum before. It may grow because its neighbours may gain more."""
 TERMS = ("intersection", "exclusion", "shape", "smooth")
-"""The losses that are recorded."""
+"""The names of the losses that are recorded."""
 
 State = TypeVar("State")
 
 
 class Problem(Protocol[State]):
-    """Least squares in a state; what is near or facing is fixed during a step."""
+    """A least-squares problem over a state. Closest points and intruders
+    are fixed during a step."""
 
     free: NDArray[np.bool_]
-    """Which unknowns may change, ``(U,)``."""
+    """Whether each unknown may change, ``(U,)``."""
     units: Floats | None
-    """What they are measured in, ``(U,)``."""
+    """The unit of each unknown, ``(U,)``; None if all are 1."""
     count: int
-    """What the recorded losses are divided by."""
+    """The number by which recorded losses are divided."""
     threads: int
-    """On which steps are computed."""
+    """Number of threads that compute a step."""
 
     def prepare(self, state: State, factor: float) -> None:
-        """Fix what is near or facing, and multiply what conformity needs by ``factor``."""
+        """Find closest points and intruders, and multiply the weights of
+        conformity by ``factor``."""
         ...
 
     def residuals(self, state: State) -> dict[str, Floats]:
-        """Residuals by term; those of TERMS are recorded."""
+        """The residuals of each term. Those of TERMS are recorded."""
         ...
 
     def blocks(self, state: State, residuals: dict[str, Floats]) -> list[Block]:
@@ -53,38 +60,37 @@ class Problem(Protocol[State]):
         ...
 
     def moved(self, state: State, step: Floats) -> State:
-        """The state after a step of the unknowns, limited in length."""
+        """The state after ``step (U,)``, whose length is limited."""
         ...
 
     def energies(self, residuals: dict[str, Floats]) -> Floats:
-        """The sums of the squares around each of the places ``(P,)`` where a step may be taken or
-        not."""
+        """The sum of squares at each place, ``(P,)``."""
         ...
 
     def around(self, places: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """``places (P,)`` and what is beside them."""
+        """``places (P,)`` and their neighbours."""
         ...
 
     def spread(self, values: Floats) -> Floats:
-        """What the unknowns ``(U,)`` have of values at the places ``(P,)``."""
+        """The values of places ``(P,)`` at the unknowns, ``(U,)``."""
         ...
 
 
 def first_damping(places: int) -> Floats:
-    """Of each place, ``(P,)``."""
+    """The first damping of each place, ``(P,)``."""
     return np.full(places, DAMPING[0])
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is not finite is looked for
+@np.errstate(over="ignore", invalid="ignore")  # values that are not finite are handled below
 def descend(
     problem: Problem[State], state: State, factors: Sequence[float], damping: Floats
 ) -> tuple[State, Floats, Floats]:
-    """A step for each of ``factors``: the state, the losses ``(steps, 4)`` before each step and
-    the damping at each place ``(P,)``.
+    """Take one step for each of ``factors``.
 
-    A step is shortened only around the places where it makes things worse: one triangle that is
-    hard to move does not keep all others from theirs. Raises NumericalFailure when a loss is not
-    finite.
+    Returns the state, the losses ``(steps, 4)`` before each step, and the damping of each place
+    ``(P,)``. A step is shortened only at places where it makes the sum of squares grow, so that one
+    triangle that is hard to move does not hold up the others. Raises NumericalFailure if a loss is
+    not finite.
     """
     losses = []
     for factor in factors:
@@ -102,13 +108,13 @@ def descend(
         for trial in range(TRIALS):
             moved = problem.moved(state, problem.spread(share) * step)
             residuals = problem.residuals(moved)
-            # What is not finite is worse too.
+            # Comparing with <= makes values that are not finite count as worse.
             after = problem.energies(residuals)
             worse = ~(after <= bound) & (share > 0)
             if not worse.any():
                 break
             share[problem.around(worse)] *= SHORTER if trial < TRIALS - 2 else 0.0
-        # The sum of all says little: one place may outweigh the others.
+        # The total is not compared, because one place may outweigh all others.
         if np.isfinite(after).all():
             state = moved
         damping = np.where(share < 1, HARDER * damping, damping / EASIER).clip(*DAMPING[1:])

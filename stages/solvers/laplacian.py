@@ -1,4 +1,4 @@
-"""The graph Laplacian of a surface's edges, as residuals of spheres laid out as ``(V, 4)``."""
+"""The graph Laplacian of a surface, as residuals of spheres that are stored as ``(V, 4)``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from .least_squares import Block
 
 @dataclass(frozen=True)
 class Laplacian:
-    """Values less the mean over their neighbours; ``rows, columns, entries (N,)`` of the matrix."""
+    """The map from values at vertices to their differences from the mean over their neighbours.
+
+    ``rows``, ``columns`` and ``entries``, ``(N,)`` each, are its sparse matrix.
+    """
 
     count: int
     rows: Ints
@@ -21,7 +24,7 @@ class Laplacian:
 
     @classmethod
     def of(cls, ends: Ints, count: int) -> Laplacian:
-        """Of edges ``ends (E, 2)`` between ``count`` vertices."""
+        """The Laplacian of the graph with edges ``ends (E, 2)`` and ``count`` vertices."""
         start, end = np.concatenate([ends, ends[:, ::-1]]).T
         share = 1 / np.maximum(np.bincount(start, minlength=count), 1)
         here = np.arange(count)
@@ -33,12 +36,13 @@ class Laplacian:
         )
 
     def __call__(self, values: Floats) -> Floats:
-        """``(V, k)`` of ``values (V, k)``."""
+        """The Laplacian ``(V, k)`` of ``values (V, k)``."""
         part = self.entries[:, None] * values[self.columns]
         return np.stack([np.bincount(self.rows, p, minlength=self.count) for p in part.T], axis=1)
 
     def along(self, normal: Floats, scale: Floats, residual: Floats) -> Block:
-        """``scale (V,)`` times the part of the centres' Laplacian across ``normal (V, 3)``."""
+        """``scale (V,)`` times the tangential part of the centres' Laplacian,
+        for normals ``(V, 3)``."""
         at = normal[self.rows]
         values = np.eye(3) - at[:, :, None] * at[:, None]
         values *= (scale[self.rows] * self.entries)[:, None, None]
@@ -48,7 +52,8 @@ class Laplacian:
         return Block(rows.reshape(-1), columns.reshape(-1), values.reshape(-1), residual)
 
     def across(self, normal: Floats, scale: Floats, residual: Floats) -> Block:
-        """``scale (V,)`` times the part of the centres' Laplacian along ``normal (V, 3)``."""
+        """``scale (V,)`` times the normal part of the centres' Laplacian,
+        for normals ``(V, 3)``."""
         values = (scale[self.rows] * self.entries)[:, None] * normal[self.rows]
         columns = 4 * self.columns[:, None] + np.arange(3)
         return Block(np.repeat(self.rows, 3), columns.reshape(-1), values.reshape(-1), residual)

@@ -15,13 +15,17 @@ from ..mesh.polygons import Floats, Ints
 from .products import Product, product
 
 TOLERANCE, ITERATIONS = 1e-2, 80
-"""Of the conjugate gradients; a step need not be exact."""
+"""Relative tolerance of the conjugate gradients, and their largest number of iterations. A
+step need not be exact."""
 STEEP = 100.0
+"""A squared column above so many medians counts as that much in the mean
+that scales the damping."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Residuals ``(R,)`` and the entries of their Jacobian: ``rows, columns, values (N,)``."""
+    """Residuals ``(R,)``, and the entries of their Jacobian as ``rows``,
+    ``columns``, ``values (N,)``."""
 
     rows: Ints
     columns: Ints
@@ -30,7 +34,7 @@ class Block:
 
     @classmethod
     def dense(cls, columns: Ints, values: Floats, residual: Floats) -> Block:
-        """Rows of as many entries each, ``columns, values (R, k)``."""
+        """A block in which every row has k entries; ``columns`` and ``values`` are ``(R, k)``."""
         width = int(np.prod(columns.shape[1:]))
         rows = np.repeat(np.arange(len(residual)), width)
         return cls(rows, columns.reshape(-1), values.reshape(-1), residual)
@@ -38,8 +42,10 @@ class Block:
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Steps that lessen ``sum residual^2`` over the unknowns that are ``free (U,)``, each measured
-    in its ``units (U,)``."""
+    """Steps that lower ``sum residual^2`` over the unknowns that are ``free (U,)``.
+
+    Each unknown is measured in its unit, ``units (U,)``.
+    """
 
     blocks: Sequence[Block]
     free: NDArray[np.bool_]
@@ -48,7 +54,7 @@ class GaussNewton:
 
     @cached_property
     def _system(self) -> tuple[Any, Any, Floats, Floats]:
-        """The Jacobian, its transpose, the gradient and the squares of the columns."""
+        """The Jacobian, its transpose, the gradient, and the squares of the columns."""
         from scipy.sparse import csr_array
 
         ends = np.cumsum([len(block.residual) for block in self.blocks])
@@ -59,12 +65,12 @@ class GaussNewton:
         residual = np.concatenate([block.residual for block in self.blocks])
         used = self.free[columns] & (values != 0)
         number = np.cumsum(self.free) - 1
-        # Rows without a free unknown have no part in the step.
+        # Rows without a free unknown do not affect the step.
         kept = np.zeros(ends[-1], dtype=bool)
         kept[rows[used]] = True
         rows = (np.cumsum(kept) - 1)[rows[used]]
         shape = (int(kept.sum()), int(self.free.sum()))
-        # Half the memory to go through in a product, wherever that many suffice.
+        # Products read half the memory with 32-bit indices, which are used if they suffice.
         index = np.int32 if max(len(rows), *shape) < 2**31 else np.int64
         places = rows.astype(index), number[columns[used]].astype(index)
         jacobian = csr_array((values[used], places), shape=shape)
@@ -74,8 +80,11 @@ class GaussNewton:
         return jacobian, transpose, gradient, np.asarray(squares, np.float64)
 
     def step(self, damping: float | Floats) -> Floats:
-        """The step ``(U,)`` with ``damping``, one for all or ``(U,)``, in units of the mean square
-        of a column, where those above STEEP medians count as that much."""
+        """The step ``(U,)``. ``damping`` is one number, or one for each unknown ``(U,)``.
+
+        Its unit is the mean square of a column, in which squares above STEEP medians count as that
+        much.
+        """
         jacobian, transpose, gradient, squares = self._system
         result = np.zeros(len(self.free))
         if not gradient.any():
@@ -83,7 +92,7 @@ class GaussNewton:
         units = np.ones(len(squares)) if self.units is None else self.units[self.free]
         each = np.broadcast_to(damping, len(self.free))[self.free]
         square = squares * units**2
-        # A few that are steep may not hold all others back.
+        # Otherwise a few steep columns would damp all unknowns.
         typical = np.median(square[square > 0])
         shift = each * np.minimum(square, STEEP * typical).mean() / units**2
         with ThreadPoolExecutor(self.threads) as pool:
@@ -95,9 +104,13 @@ class GaussNewton:
 
 
 def conjugate_gradients(product: Product, right: Floats, inverse: Floats) -> Floats:
-    """``x (U,)`` with ``product(x)`` about ``right``; a diagonal's ``inverse`` preconditions it."""
+    """A solution ``x (U,)`` of ``product(x) = right``, up to TOLERANCE.
+
+    ``inverse (U,)`` is the inverse of a diagonal matrix, which is the preconditioner.
+    """
     x, rest = np.zeros_like(right), right.copy()
-    # Measured as the preconditioner does: else steep unknowns would hide all others.
+    # The residual is measured in the preconditioner's norm: otherwise steep unknowns would hide
+    # the others.
     close = TOLERANCE**2 * (right @ (inverse * right))
     direction, before = np.zeros_like(right), 1.0
     for _ in range(ITERATIONS):

@@ -15,12 +15,15 @@ from ..mesh.polygons import Floats
 Product = Callable[[Floats], Floats]
 
 LARGE = 300_000
-"""Entries of a matrix below which handing out its rows takes longer than it saves."""
+"""With fewer entries, distributing the rows to threads takes longer than it saves."""
 
 
 def product(matrix: Any, pool: ThreadPoolExecutor, threads: int) -> Product:
-    """Of a ``matrix`` in compressed rows and vectors; the same bits for any number of ``threads``,
-    which are those of ``pool``."""
+    """A function that multiplies ``matrix``, in compressed rows, by a vector.
+
+    It uses ``threads`` of ``pool``. The result is the same, to the last bit, for any number of
+    them.
+    """
     starts, columns, values = matrix.indptr, matrix.indices, matrix.data
     count = len(starts) - 1
     shared = threads > 1 and len(values) > LARGE

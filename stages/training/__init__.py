@@ -1,1 +1,1 @@
-"""Training of the surface: spheres on triangles and polygons, and the paper's own."""
+"""Training of the surface: spheres on triangles and on polygons, and the paper's own training."""

@@ -1,4 +1,8 @@
-"""Polygons with spheres at their corners: bringing the corners to agree, and what is at fault."""
+"""Agreement of polygons: all spheres at the corners of a face must meet in the same two points.
+
+Newton's method makes the corners agree to rounding, and ``faults`` finds the faces that remain
+wrong.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +20,17 @@ from .polygon_problem import Corners, Planes, incidence, incidence_gradient
 from .spheres import SAFE, Spheres
 
 NEWTON = 16
-"""Steps of least change."""
+"""Largest number of Newton steps."""
 HOPELESS = 0.02
-"""What a face may be off after two of these steps; beyond it the face is left as it is."""
+"""Deviation of a face after two of these steps, in edge lengths, above
+which it is left as it is."""
 SOFT = 1e-4, 1e-7
-"""Added to the diagonal of their system, relative to it: in the first of them, where equations may
-contradict each other, and in those after the HOPELESS are out."""
+"""Relative increase of the diagonal of the system: in the first steps, where equations may
+contradict each other, and after the HOPELESS faces are left out."""
 SHIFTED = 0.1
-"""Move of a centre in these steps, in edge lengths, from which on its polygons are at fault."""
+"""The polygons at a vertex are faulty if these steps move it further, in edge lengths."""
 TURNED = 0.7
-"""Cosine of a face's normal before and after, below which it is at fault."""
+"""A face is faulty if the cosine of its normals before and after is less."""
 
 
 @dataclass(frozen=True)
@@ -33,15 +38,16 @@ class Polygons:
     """Polygons with spheres at their corners, in model units."""
 
     faces: PolygonMesh
-    """Over the centres as they were certified."""
+    """The faces, with the centres of the certified triangles as vertices."""
     corners: Corners
     planes: Planes
     spheres: Spheres
-    """Its ``triangles (F, 3)`` are the corners of each face that define its pair."""
+    """The spheres. Their ``triangles (F, 3)`` are the three corners of each face
+    that define its pair."""
 
     @classmethod
     def of_triangles(cls, spheres: Spheres) -> Polygons:
-        """Triangles as they are."""
+        """Triangles as polygons."""
         mesh = PolygonMesh.of_triangles(spheres.centres, spheres.triangles)
         corners = Corners.of(mesh, np.zeros(mesh.face_count, dtype=bool))
         none = np.zeros(0, np.int64)
@@ -49,15 +55,16 @@ class Polygons:
 
     @property
     def large(self) -> NDArray[np.bool_]:
-        """Faces ``(F,)`` with more than three corners."""
+        """Whether each face ``(F,)`` has more than three corners."""
         return np.asarray(self.faces.valences > 3)
 
     def placed(self) -> PolygonMesh:
-        """The faces over the centres."""
+        """The faces, with the present centres as vertices."""
         return self.faces.with_vertices(self.spheres.centres)
 
     def facts(self) -> dict[str, Any]:
-        """The faces by their corners and the share of the area in polygons, for the manifest."""
+        """Figures for the manifest: faces by number of corners, and the share of
+        the area in polygons."""
         area, _, _ = face_frames(self.placed())
         corners, count = np.unique(self.faces.valences, return_counts=True)
         return {
@@ -67,8 +74,11 @@ class Polygons:
 
 
 def agreeing(polygons: Polygons, free: NDArray[np.bool_], close: float) -> Polygons:
-    """The polygons after steps of least change of the spheres that are ``free (V,)`` towards the
-    agreement of all corners (Newton's method on the equations alone), until it is ``close``."""
+    """The polygons after Newton steps towards the agreement of all corners.
+
+    Each step is the smallest change of the spheres that are ``free (V,)`` that solves the
+    linearised equations. Steps end when no corner deviates by more than ``close``, in edge lengths.
+    """
     from scipy.sparse import csr_array, diags_array
     from scipy.sparse.linalg import cg
 
@@ -122,10 +132,10 @@ def agreeing(polygons: Polygons, free: NDArray[np.bool_], close: float) -> Polyg
 
 
 def faults(polygons: Polygons, before: Floats, close: float, threads: int) -> Floats:
-    """How much is wrong with each face ``(F,)``, 0 where all is well.
+    """A measure of what is wrong with each face ``(F,)``, 0 if nothing is.
 
-    ``before (V,)`` are the centres before the steps of least change; ``close``: how far corners may
-    be from agreeing, in edge lengths.
+    ``before (V, 3)`` are the centres before the Newton steps. ``close`` is the deviation of corners
+    that is allowed, in edge lengths.
     """
     state, corners, mesh = polygons.spheres, polygons.corners, polygons.placed()
     corner, face, count = mesh.face_vertices, mesh.corner_faces, mesh.face_count

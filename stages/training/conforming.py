@@ -1,7 +1,7 @@
-"""Training of triangle faces until their surface is the interface of its own generators.
+"""Training of triangles until their surface is the interface of its own generators.
 
-Gauss-Newton steps bring the surface to the true one while no generator may enter a sphere that is
-not its own; what resists is mended in rounds.
+Gauss-Newton steps move the surface to the true surface, while generators are kept out of the
+spheres of other faces. Places where that fails are repaired in rounds.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ if TYPE_CHECKING:
     from ..progress import Progress
 
 LEG = 5
-"""Steps between flips of edges, searches for closest points, and checkpoints."""
+"""Number of steps between checkpoints. Edges are flipped and closest points found as often."""
 ROUNDS, ROUND = 24, 10
-"""The most rounds of repair, and the steps of one."""
+"""Largest number of rounds of repair, and the number of steps in each."""
 STRICT = 4.0
-"""Factor to the weights of what conformity needs in the rounds of repair."""
+"""Factor by which the weights of intersection and exclusion are larger during the repair."""
 ONWARD = 1000
-"""Checkpoints after each refinement are numbered from a multiple of this on."""
+"""Checkpoints after each refinement are numbered from the next multiple of this."""
 
 
 @dataclass(frozen=True)
 class Leg:
-    """How many steps, and the weights of the terms; lengths are in units of the edge length."""
+    """Number of steps, and weights of the terms. Lengths are in units of the edge length."""
 
     iterations: int
     weights: Mapping[str, float]
-    """intersection and exclusion: a pair, or a generator and a sphere, each; shape: a vertex's
-    part of the surface; normal, smooth and radius: a vertex."""
+    """The weights by term: intersection for each pair, exclusion for each generator and sphere,
+    shape for each vertex's part of the surface, and normal, smooth and radius for each vertex."""
 
 
 def conform(
@@ -60,11 +60,11 @@ def conform(
     progress: Progress,
     threads: int,
 ) -> tuple[Spheres, Floats, int]:
-    """Train ``spheres``, those that are ``free (V,)``, then repair what does not conform.
+    """Train the ``spheres`` that are ``free (V,)``, then repair where they do not conform.
 
-    Returns the spheres, the ``history (iterations, 4)`` with the losses before the repair and the
-    number of rounds. Goes on from the last checkpoint if that has been ``refined`` as often as
-    ``stored`` says. Raises NumericalFailure when a value is not finite.
+    Returns the spheres, the ``history (iterations, 4)`` with the losses before the repair, and the
+    number of rounds. Continues from the last checkpoint if its number of refinements is the one in
+    ``stored``. Raises NumericalFailure if a value is not finite.
     """
     number, begin, damping = 0, 0, first_damping(len(spheres.centres))
     found = checkpoints.latest()
@@ -99,7 +99,7 @@ def conform(
                 flip(mesh, within(free, keeping(surface, gain)))
                 spheres = replace(spheres, triangles=mesh.triangles)
             last = min(count, first + LEG)
-            # What conformity needs gets its full weight by and by.
+            # Intersection and exclusion get their full weight after half of the steps.
             ramp = [1.0 if number else min(1.0, 2 * (i + 1) / count) for i in range(first, last)]
             problem = SphereProblem(spheres, surface, creases, weights, free, threads)
             start = spheres.centres

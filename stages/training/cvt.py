@@ -1,4 +1,4 @@
-"""Centroidal Voronoi tessellations of the inner generators, the surface's ones fixed."""
+"""Centroidal Voronoi tessellations (CVT): inner generators move, those of the surface are fixed."""
 
 from __future__ import annotations
 
@@ -15,24 +15,26 @@ from ..voronoi.cells.moments import Moments, cell_moments
 from ..voronoi.diagram.delaunay import Floats
 
 MEMORY = 7
-"""Steps that the quasi-Newton direction remembers."""
+"""Number of steps from which the quasi-Newton direction is computed."""
 REACH = 0.5
-"""Longest step of a generator, in units of its cell's size."""
+"""Largest step of a generator, in sizes of its cell."""
 OVERSHOT = 0.5
-"""Part of the first slope that the last one may rise to; beyond it the step is shortened."""
+"""A step is shortened if the slope at its end is more than this share of the slope at its start,
+with the opposite sign."""
 SHORTENED = 3
-"""Times at the most."""
+"""Largest number of times that a step is shortened."""
 STOP = 1e-3, 5
-"""Descent ends where this part of the energy is not won in so many steps."""
+"""The descent ends if it has lowered the energy by less than this share in this number of steps."""
 RATE = 0.05
-"""Of Adam on the paper's loss at first, in units of the mean size of cells then; it falls to zero
-along a cosine."""
+"""First learning rate of Adam with the paper's loss, in units of the mean size of the cells at the
+start. It falls to zero along a cosine."""
 
 
 def energy_gradient(points: Floats, moments: Moments) -> Floats:
-    """Of ``sum_i int_{V_i} rho |x - p_i|^2`` over all cells: ``2 m_i (p_i - c_i)``, ``(M, 3)``.
+    """The gradient ``2 m_i (p_i - c_i)``, ``(M, 3)``, of ``sum_i int_{V_i} rho |x - p_i|^2``.
 
-    Cells of fixed generators change too, and their part cancels (Du, Faber and Gunzburger 1999).
+    The sum is over all cells. Cells of fixed generators change too, but this part of the gradient
+    cancels (Du, Faber and Gunzburger 1999).
     """
     return np.asarray(2 * moments.mass[:, None] * (points - moments.centroid))
 
@@ -41,9 +43,9 @@ def energy_gradient(points: Floats, moments: Moments) -> Floats:
 class Descent:
     """Limited-memory BFGS steps (Liu et al. 2009) from ``points (M, 3)``.
 
-    Without memory a step is Lloyd's, to the centroid: the inverse Hessian is started with
-    ``1 / (2 m_i)``. Only gradients are looked at, since energies would need the cells of the fixed
-    generators; what a step wins is the trapezium of its slopes.
+    The inverse Hessian begins as ``1 / (2 m_i)``, so that the first step is Lloyd's: to the
+    centroids. Only gradients are computed, since energies would need the cells of the fixed
+    generators. The decrease of the energy is the step times the mean of the slopes at its two ends.
     """
 
     guard: Guard
@@ -53,9 +55,9 @@ class Descent:
     steps: list[Floats] = field(default_factory=list)
     changes: list[Floats] = field(default_factory=list)
     won: list[float] = field(default_factory=list)
-    """Energy won by each step, over the energy of the inner cells then."""
+    """Decrease of the energy in each step, divided by the energy of the inner cells before it."""
     residuals: list[float] = field(default_factory=list)
-    """Mean square distance from generator to centroid before each step."""
+    """Mean squared distance from generators to centroids before each step."""
 
     def __post_init__(self) -> None:
         self.moments = self._moments(self.points)
@@ -64,17 +66,17 @@ class Descent:
     def resumed(
         cls, guard: Guard, density: Grid | None, threads: int, state: Mapping[str, Any]
     ) -> Descent:
-        """Where ``state`` of an earlier one was taken; it goes on to the same bits."""
+        """A descent that continues from ``state``, with the same bits as if it had not stopped."""
         lists = {name: list(state[name]) for name in ("steps", "changes", "won", "residuals")}
         return cls(guard, density, threads, state["points"], **lists)
 
     @property
     def taken(self) -> int:
-        """Steps so far."""
+        """The number of steps so far."""
         return len(self.won)
 
     def state(self) -> dict[str, Any]:
-        """Arrays to go on from."""
+        """The arrays from which ``resumed`` continues."""
         empty = np.zeros((0, *self.points.shape))
         return {
             "points": self.points,
@@ -122,7 +124,7 @@ class Descent:
         self.points, self.moments = moved, moments
 
     def _direction(self, gradient: Floats) -> Floats:
-        """The two-loop recursion."""
+        """The quasi-Newton direction, by the two-loop recursion."""
         way, factors = -gradient, []
         for taken, change in zip(reversed(self.steps), reversed(self.changes), strict=True):
             factor = np.vdot(taken, way) / np.vdot(taken, change)
@@ -139,7 +141,8 @@ class Descent:
 
 
 class PaperDescent:
-    """Adam on the paper's CVT loss from ``points (M, 3)``, with the guard's halved moves."""
+    """Adam on the paper's CVT loss from ``points (M, 3)``. The guard halves
+    steps that are too long."""
 
     def __init__(
         self, guard: Guard, points: Floats, mean_area: float, threads: int, iterations: int
@@ -160,7 +163,7 @@ class PaperDescent:
 
     @property
     def moments(self) -> Moments:
-        """Of the cells as they are."""
+        """Moments of the present cells."""
         generators = np.concatenate([self.points, self.guard.within])
         return cell_moments(generators, len(self.points), threads=self.threads)
 
@@ -173,7 +176,7 @@ class PaperDescent:
         iterations: int,
         state: Mapping[str, Any],
     ) -> PaperDescent:
-        """Where ``state`` of an earlier one was taken; it goes on to the same bits."""
+        """A descent that continues from ``state``, with the same bits as if it had not stopped."""
         descent = cls(guard, state["points"], mean_area, threads, iterations)
         descent.adam.restore(state)
         descent.schedule = replace(descent.schedule, rate=float(state["rate"]))
@@ -182,7 +185,7 @@ class PaperDescent:
 
     @property
     def done(self) -> bool:
-        """It has no end of its own."""
+        """Always False: it ends after the number of iterations."""
         return False
 
     @property
@@ -190,7 +193,7 @@ class PaperDescent:
         return len(self.residuals)
 
     def state(self) -> dict[str, Any]:
-        """Arrays to go on from."""
+        """The arrays from which ``resumed`` continues."""
         rest = {"rate": np.array(self.schedule.rate), "residuals": np.array(self.residuals)}
         return {**self.adam.as_arrays(), **rest}
 

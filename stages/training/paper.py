@@ -1,4 +1,7 @@
-"""The paper's sphere training by Adam: targets at the centroids, free spheres and offsets."""
+"""The paper's training of spheres with Adam (sections 3.3 and 3.4).
+
+Targets lie on the normals through the centroids; spheres and offsets are free.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,12 @@ if TYPE_CHECKING:
     from ..progress import Progress
 
 NEIGHBOURS_EVERY = 10
-"""Iterations between searches for spheres that may intrude."""
+"""Number of iterations between searches for spheres in which targets may lie."""
 NEIGHBOUR_SLACK = 0.15
-"""How much further than a sphere's radius is searched, for what moves in between."""
+"""The search extends beyond a sphere by this share of its radius, because things
+move between searches."""
 CORRESPONDENCES_EVERY = 10
-"""Iterations between nearest-point searches of the shape loss."""
+"""Number of iterations between searches for the closest points of the shape loss."""
 
 
 def train(
@@ -37,9 +41,11 @@ def train(
     device: str,
     threads: int,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Centres ``(V, 3)``, radii ``(V,)``, offsets ``delta_f (F,)`` of either sign, and the history
-    of the losses ``(iterations, 4)`` named as ``weights``: intersection, exclusion, shape, normal
-    (the paper's sections 3.3 and 3.4)."""
+    """Centres ``(V, 3)``, radii ``(V,)``, offsets ``delta_f (F,)``, and losses ``(iterations, 4)``.
+
+    Offsets may have either sign. The columns of the losses are named as ``weights``: intersection,
+    exclusion, shape, normal.
+    """
     first_radii, first_offsets = initial_spheres(mesh)
     parameters = {
         name: torch.tensor(values, device=device).requires_grad_(True)

@@ -1,8 +1,8 @@
-"""The least squares of spheres on polygons: shape, agreement of all corners, and room for pairs.
+"""The least-squares problem of spheres on polygons: shape, agreement of corners, and exclusion.
 
-A face between two generators says that ``u = |c|^2 - r^2`` is linear on it: it conforms where its
-corners lie in one plane and have the same power to one point of it. Three corners fix the pair of a
-face in closed form; every further corner adds these two equations.
+A face lies between its two generators if ``u = |c|^2 - r^2`` is linear on it. So it conforms if its
+corners lie in one plane, and if one point of the plane has the same power to all spheres. Three
+corners define the pair of the face in closed form. Every further corner adds these two equations.
 """
 
 from __future__ import annotations
@@ -29,31 +29,37 @@ if TYPE_CHECKING:
     from ..mesh.queries.true_surface import TrueSurface
 
 RADII = (0.3, 2.5)
-"""Limits of the radii, in edge lengths."""
+"""Smallest and largest radius, in edge lengths."""
 OFFSET = 0.3
-"""``delta_f`` below which a pair is penalised, in edge lengths, where it has all its room."""
+"""A pair with a smaller ``delta_f``, in edge lengths, is penalised; at creases it is less."""
 MARGIN = 0.1
-"""Power below which a generator that is not a sphere's own is penalised, in edge lengths
-squared."""
+"""A generator with a smaller power to a sphere that is not of its face is penalised. The unit is
+the squared edge length."""
 CONVEX = 0.2
-"""Twice the area of three corners in a row below which it is penalised, in edge lengths squared."""
+"""Three successive corners are penalised if twice their signed area is less, in
+squared edge lengths."""
 
 
 @dataclass(frozen=True)
 class Corners:
-    """The three corners ``defining (F, 3)`` of each face that fix its pair, and all others: corner
-    ``vertex (E,)`` of ``face (E,)``."""
+    """The three corners ``defining (F, 3)`` of each face, and all further corners.
+
+    A further corner is the ``vertex (E,)`` of a ``face (E,)``.
+    """
 
     defining: Ints
     face: Ints
     vertex: Ints
     bent: Floats
-    """1, or 0 where a known plane holds all corners of the face, ``(E,)``."""
+    """1 for each further corner, or 0 if all corners of its face are in a known plane, ``(E,)``."""
 
     @classmethod
     def of(cls, mesh: PolygonMesh, plane: NDArray[np.bool_]) -> Corners:
-        """Those of ``mesh`` whose triangle has the largest area, about evenly spaced; ``plane
-        (F,)``: the faces that a known plane holds."""
+        """The corners of ``mesh``: those about evenly spaced whose triangle is largest define the
+        pair.
+
+        ``plane (F,)`` says which faces are in a known plane.
+        """
         valence, start = mesh.valences, mesh.face_offsets[:-1]
         best = np.full(mesh.face_count, -1.0)
         places = np.zeros((mesh.face_count, 3), np.int64)
@@ -67,7 +73,7 @@ class Corners:
         corners = start[:, None] + places
         further = np.ones(len(mesh.face_vertices), dtype=bool)
         further[corners] = False
-        # Triangles keep the order of their corners.
+        # The corners of triangles keep their order.
         plain = valence == 3
         corners[plain] = start[plain, None] + np.arange(3)
         face = mesh.corner_faces[further]
@@ -79,28 +85,34 @@ class Corners:
 
 @dataclass(frozen=True)
 class Planes:
-    """Known planes ``normal . c = offset`` that spheres ``vertex (K,)`` are to lie in."""
+    """Known planes ``normal . c = offset``, in which the centres of spheres
+    ``vertex (K,)`` must lie."""
 
     vertex: Ints
     normal: Floats
     offset: Floats
 
     def heights(self, centres: Floats) -> Floats:
+        """The distances ``(K,)`` of ``centres (V, 3)`` from their planes."""
         height = np.einsum("ij,ij->i", centres[self.vertex], self.normal)
         return np.asarray(height - self.offset)
 
     @property
     def columns(self) -> Ints:
-        """Of ``(c_v, r_v)`` that the heights depend on, with the normals as derivatives."""
+        """The unknowns of ``(c_v, r_v)`` on which the heights depend; the
+        normals are the derivatives."""
         return 4 * self.vertex[:, None] + np.arange(3)
 
 
 def incidence(
     state: Spheres, corners: Corners
 ) -> tuple[Floats, Floats, Floats, triangle_pairs.Pairs]:
-    """Of each further corner the height above the plane of its face and the power of the radical
-    centre to its sphere beyond that to the others, ``(E,)`` each; its barycentric coordinates
-    ``(E, 3)`` among the defining corners; and the pairs of the faces."""
+    """The deviation of each further corner, and what its derivatives need.
+
+    Returns its height above the plane of the face ``(E,)``; the power of the radical centre to its
+    sphere minus that to the defining ones ``(E,)``; its barycentric coordinates ``(E, 3)`` among
+    the defining corners; and the pairs of the faces.
+    """
     pairs = state.pairs()
     at = state.centres[corners.defining[corners.face]]
     u, v, w = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0], state.centres[corners.vertex] - at[:, 0]
@@ -118,9 +130,10 @@ def incidence(
 def incidence_gradient(
     state: Spheres, corners: Corners, share: Floats, pairs: triangle_pairs.Pairs
 ) -> tuple[Ints, Floats, Floats]:
-    """Derivatives of both: columns ``(E, 16)`` of ``(c_v, r_v)`` and values ``(E, 16)`` each.
+    """Derivatives of both deviations: columns ``(E, 16)`` of ``(c_v, r_v)``, and values
+    ``(E, 16)``.
 
-    That of the power holds where the corner lies in the plane.
+    The derivative of the power is exact if the corner is in the plane.
     """
     own = corners.defining[corners.face]
     vertex = np.concatenate([corners.vertex[:, None], own], axis=1)
@@ -134,7 +147,7 @@ def incidence_gradient(
 
 
 def halves(mesh: PolygonMesh) -> Ints:
-    """Triangles ``(T, 3)`` of the faces, fanned about their first corners."""
+    """Triangles ``(T, 3)`` of the faces, as fans about their first corners."""
     face, place = mesh.corner_faces, np.arange(len(mesh.face_vertices))
     start = mesh.face_offsets[:-1][face]
     inner = (place > start) & (place < start + mesh.valences[face] - 1)
@@ -144,7 +157,8 @@ def halves(mesh: PolygonMesh) -> Ints:
 
 
 class PolygonProblem(OnSpheres):
-    """Unknowns ``(c_v, r_v)`` at the corners of polygons, with fixed planes."""
+    """Least squares with the unknowns ``(c_v, r_v)`` at the corners of
+    polygons, and fixed planes."""
 
     limits = RADII
 

@@ -1,9 +1,9 @@
-"""Exact polygons: certified triangles merged, and their spheres brought to agree.
+"""Exact polygons: certified triangles are merged, and their spheres made to agree.
 
-Gauss-Newton steps bring the corners of every polygon to agree beside the shape, the weight of their
-equations growing; steps of least change then solve these to rounding. Polygons that are at fault
-are divided into their triangles again, the worst first, until none is: in the end the surface is at
-least as certified as the triangles were.
+Gauss-Newton steps make the corners of each polygon agree while they follow the shape; the weight of
+the agreement grows. Newton steps then solve its equations to rounding. Faulty polygons are divided
+into their triangles again, the worst first, until none is left. So in the end the certificate is no
+weaker than that of the triangles.
 """
 
 from __future__ import annotations
@@ -32,47 +32,50 @@ if TYPE_CHECKING:
     from ..progress import Progress
 
 STEPS, ROUND = 20, 5
-"""Steps of the first round, and of each later one; closest points are looked for every ROUND."""
+"""Number of steps of the first round, and of each later one. Closest points are
+found every ROUND steps."""
 FACTORS = 30.0, 1.5, 1000.0
-"""Weight of the agreement of corners: at first, its growth in a step, at the most."""
+"""Weight of the agreement: the first, its growth in a step, and the largest."""
 EASE = (0.05, 0.05, 0.1, 0.2, 0.5)
-"""Share of the shape's weight in the first rounds, the last of them in all later ones: corners that
-are held to the shape before they agree come to no agreement."""
+"""Share of the shape's weight in the first rounds; the last value is for all later rounds. Corners
+that are held close to the shape before they agree would never agree."""
 SMOOTH = (10.0, 10.0, 5.0, 2.5, 1.0)
-"""Factor to the weight of smoothness in these rounds."""
+"""Factor of the weight of smoothness in these rounds."""
 ROUNDS = 40
-"""The most rounds; the triangles are what is left then."""
+"""Largest number of rounds. Polygons that are still faulty then become triangles."""
 ROOM = 0.12
-"""``delta_f^2`` that the radii beside polygons start with, in edge lengths squared."""
+"""The first ``delta_f^2`` of polygons, which sets the first radii, in squared edge lengths."""
 NEAR, EXACT = 1e-6, 1e-10
-"""How far corners may be from agreeing after them, in edge lengths, during the rounds and at the
-end."""
+"""Deviation of corners that is allowed after the Newton steps, in edge lengths: during the
+rounds, and at the end."""
 NEARBY = 3
-"""Rings around a fault in which polygons are looked for."""
+"""Number of rings around a faulty triangle in which the polygon that causes it is sought."""
 RESTORED = 2
-"""Rings around a fault that no polygon is near which are put back as they were certified."""
+"""Number of rings around a fault without polygons nearby that are restored
+to the certified state."""
 BEFORE = 100_000
-"""Checkpoints are numbered from here, behind those of the triangles that it starts from."""
+"""Checkpoints are numbered from here on, after those of the triangles."""
 
 
 @dataclass
 class _Merging:
-    """The certified triangles, what is merged of them, and where their spheres are by now."""
+    """The certified triangles, the polygons that they are merged into, and
+    their present spheres."""
 
     certified: Spheres
     plane: PlaneParts
     group: Ints
-    """The polygon of each triangle ``(T,)``, by the lowest of its triangles."""
+    """The polygon ``(T,)`` of each triangle, as the lowest index of its triangles."""
     centres: Floats
     radii: Floats
     free: NDArray[np.bool_]
-    """Vertices ``(V,)`` that have not been put back for good."""
+    """The vertices ``(V,)`` that have not been restored for good."""
     suspect: NDArray[np.bool_]
-    """Groups ``(T,)`` that were at fault in the last round."""
+    """The groups ``(T,)`` that were faulty in the last round."""
 
     @classmethod
     def of(cls, certified: Spheres, surface: TrueSurface, share: float) -> _Merging:
-        """Polygons over at most ``share`` of the area."""
+        """The first merging, with polygons over at most ``share`` of the area."""
         mesh = certified.as_mesh()
         table = EdgeTable.of(mesh.triangles)
         plane = plane_parts(mesh, table, surface, certified.face_lengths)
@@ -88,7 +91,7 @@ class _Merging:
         )  # fmt: skip
 
     def assembled(self) -> tuple[Polygons, Ints, Ints]:
-        """The polygons, the vertex of each sphere and the group of each face."""
+        """The polygons, the vertex of each sphere, and the group of each face."""
         certified = self.certified
         mesh, owner = merged(certified.centres, certified.triangles, self.group)
         used = np.unique(mesh.face_vertices)
@@ -111,8 +114,10 @@ class _Merging:
         return Polygons(mesh, corners, planes, spheres), used, owner
 
     def divide(self, chosen: Ints) -> None:
-        """The polygons of groups ``chosen`` become triangles again, with the vertices between them
-        where those were certified, moved as their neighbours are."""
+        """Divide the polygons of the groups ``chosen`` into triangles.
+
+        Vertices that return get their certified positions plus the mean move of their neighbours.
+        """
         triangles = self.certified.triangles
         opened = np.isin(self.group, chosen)
         inside = np.ones(len(self.centres), dtype=bool)
@@ -128,8 +133,10 @@ class _Merging:
         self.radii[back] = self.certified.radii[back]
 
     def restore(self, places: NDArray[np.bool_]) -> None:
-        """The vertices ``places (V,)`` are where they were certified, and stay there; polygons at
-        them become triangles."""
+        """Put the vertices ``places (V,)`` back to their certified positions for good.
+
+        Polygons at these vertices are divided.
+        """
         touched = self.group[places[self.certified.triangles].any(axis=1)]
         sizes = np.bincount(self.group, minlength=len(self.group))
         self.divide(np.unique(touched[sizes[touched] > 1]))
@@ -138,19 +145,22 @@ class _Merging:
         self.free &= ~places
 
     def mend(self, polygons: Polygons, fault: Floats, used: Ints, owner: Ints, late: bool) -> None:
-        """Divide the worst polygons at ``fault (F,)``, no two at one vertex unless it is ``late``;
-        a fault that no polygon is near is undone."""
+        """Divide the worst faulty polygons, by ``fault (F,)``, and restore faults without polygons
+        nearby.
+
+        Unless it is ``late``, only one polygon at a vertex is divided.
+        """
         mesh, large = polygons.faces, polygons.large
         corner, face = mesh.face_vertices, mesh.corner_faces
 
         def around(values: Floats) -> Floats:
-            """The largest value of the faces that share a vertex with each."""
+            """The largest value among the faces that share a vertex with each face."""
             vertex, result = np.zeros(mesh.vertex_count), np.zeros(mesh.face_count)
             np.maximum.at(vertex, corner, values[face])
             np.maximum.at(result, face, vertex[corner])
             return result
 
-        # Faults of triangles are those of the polygons nearest to them.
+        # The polygon nearest to a faulty triangle is taken as the cause.
         blamed, lonely = np.where(large, fault, 0.0), np.where(large, 0.0, fault)
         for _ in range(NEARBY):
             lonely = around(np.where(around(blamed) > 0, 0.0, lonely))
@@ -175,10 +185,10 @@ def train_polygons(
     progress: Progress,
     threads: int,
 ) -> tuple[Polygons, Floats, int]:
-    """Polygons over at most ``share`` of the area of ``certified`` triangles, the losses ``(steps,
-    4)`` and the number of rounds.
+    """Polygons over at most ``share`` of the area of ``certified`` triangles.
 
-    ``weights``: exclusion, shape, smooth, radius. ``stored`` goes into every checkpoint.
+    Returns them with the losses ``(steps, 4)`` and the number of rounds. ``weights`` has exclusion,
+    shape, smooth and radius. ``stored`` is added to every checkpoint.
     """
     merging = _Merging.of(certified, surface, share)
     number, history = 0, np.zeros((0, len(TERMS)))
@@ -207,7 +217,7 @@ def train_polygons(
             if not wrong.any():
                 return exact, history, number
         merging.centres[used], merging.radii[used] = before.centres, before.radii
-        # What may come right by itself is given one more round.
+        # In early rounds, faults that may disappear by themselves get one more round.
         late = number > len(EASE)
         resisting = np.where(merging.suspect[owner] | late, wrong, 0.0)
         merging.suspect[:] = False
@@ -234,8 +244,10 @@ def _trained(
     progress: Progress,
     threads: int,
 ) -> tuple[Polygons, Floats]:
-    """The polygons after the steps of a round, and its losses; ``certified (V,)``: the radii of
-    the triangles."""
+    """The polygons after the steps of a round, and the losses ``(steps, 4)``.
+
+    ``certified (V,)`` are the radii of the triangles' spheres.
+    """
     faces, state = polygons.faces, polygons.spheres
     wanted = _wanted(polygons, certified)
     if number == 0:
@@ -263,7 +275,7 @@ def _trained(
 
 
 def _wanted(polygons: Polygons, certified: Floats) -> Floats:
-    """The radii ``(V,)`` that suit all polygons at a vertex, and those certified elsewhere."""
+    """The radii ``(V,)`` that suit all polygons at a vertex; elsewhere the certified ones."""
     faces, spheres = polygons.faces, polygons.spheres
     corner, face = faces.face_vertices, faces.corner_faces
     _, _, middle = face_frames(faces)

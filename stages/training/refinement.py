@@ -1,5 +1,4 @@
-"""Trained triangles are divided where they are too far from the true surface, and trained again
-there."""
+"""Refinement: trained triangles too far from the true surface are divided and trained again."""
 
 from __future__ import annotations
 
@@ -19,16 +18,16 @@ if TYPE_CHECKING:
     from ..mesh.queries.true_surface import TrueSurface
 
 MOST = 12
-"""Rounds of refinement."""
+"""Largest number of rounds."""
 SHARE = 0.8
-"""Of the bound that a round aims at."""
+"""The distance at which a round aims, as a share of the bound."""
 SHORTEST, LONGEST = 0.5, 0.7
-"""Limits of the factor to a length in a round."""
+"""Smallest and largest factor by which an edge length changes in a round."""
 
 
 @dataclass(frozen=True)
 class Refine:
-    """What is asked for, in units of h0, and how many triangles it may take."""
+    """The largest distance that is allowed, in units of h0, and the largest number of triangles."""
 
     bound: float
     faces: int | None = None
@@ -37,13 +36,15 @@ class Refine:
 def refined(
     spheres: Spheres, surface: TrueSurface, creases: Creases | None, asked: Refine
 ) -> tuple[Spheres, NDArray[np.bool_]] | None:
-    """``spheres`` with shorter edges where triangles are further than the bound from the surface,
-    and which of them are to be trained, ``(V,)``; None where there is nothing to do, or no
-    triangle left to do it with."""
+    """The spheres with shorter edges where triangles are further from the surface than the bound.
+
+    The second value says which spheres are to be trained, ``(V,)``. Returns None if no triangle is
+    too far, or if no more triangles are allowed.
+    """
     _, far = vertex_errors(surface, spheres.centres, spheres.triangles)
     room = np.inf if asked.faces is None else asked.faces - len(spheres.triangles)
     over = np.flatnonzero(far > asked.bound)
-    # Of more than there is room for, those that are furthest.
+    # If the number of triangles does not allow all of them, the furthest are chosen.
     over = over[np.argsort(-far[over], kind="stable")]
     low, high, tried = 0, len(over), len(over)
     wanted = spheres.lengths
@@ -58,14 +59,16 @@ def refined(
 
 
 def _shorter(spheres: Spheres, far: Floats, over: Ints, bound: float) -> Floats:
-    """Lengths for the distances ``far (V,)`` of vertices ``over``, which grow with the square of
-    the length, graded from there."""
+    """Target lengths for vertices ``over`` with the distances ``far (V,)``, graded around them.
+
+    The distance grows with the square of the edge length.
+    """
     wanted = spheres.lengths.copy()
     wanted[over] *= np.clip(np.sqrt(SHARE * bound / far[over]), SHORTEST, LONGEST)
     return graded_down(spheres, wanted)
 
 
 def _added(spheres: Spheres, wanted: Floats) -> float:
-    """About how many triangles are added by ``wanted`` lengths ``(V,)``."""
+    """An estimate of the number of triangles that the ``wanted`` lengths ``(V,)`` add."""
     ratio = (spheres.lengths / wanted)[spheres.triangles].mean(axis=1)
     return float((ratio**2 - 1).sum())

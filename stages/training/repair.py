@@ -1,5 +1,8 @@
-"""Better triangles where spheres hold generators that are not their own: contracted, flipped, made
-round, and with more room to move; and triangles divided where the shape asks for it."""
+"""Repair of triangles whose spheres contain generators of other faces.
+
+Edges are contracted and flipped, the surface is made rounder, and it is pulled less to the true
+surface. ``divided`` makes triangles smaller where the refinement asks for it.
+"""
 
 from __future__ import annotations
 
@@ -26,38 +29,39 @@ if TYPE_CHECKING:
     from ..mesh.queries.true_surface import TrueSurface
 
 PATIENCE = 2
-"""Rounds in which only edges are contracted and flipped, before the surface is let go."""
+"""Number of rounds in which edges are only contracted and flipped. After them, the pull to the
+true surface is reduced."""
 RELEASE, LOOSEST = 0.3, 0.003
-"""Factor to the shape's weight around an intruder in each later round, and the least it becomes."""
+"""Factor of the shape's weight around an intruder in each later round, and its smallest value."""
 SETTLED = (0.55, 0.9)
-"""Radii around an intruder are brought back to these limits, in edge lengths."""
+"""Radii around an intruder are limited to this range, in edge lengths."""
 RINGS = 3
-"""Rings of vertices around an intruder's that move in a round."""
+"""Number of rings of vertices around an intruder that move in a round."""
 SHORT = 0.5
-"""Edges around an intruder shorter than this are contracted, in edge lengths."""
+"""Shorter edges around an intruder, in edge lengths, are contracted."""
 FINEST = 0.05
-"""The least length in units of h0 of edges where what resists is made round."""
+"""Smallest target length where the surface is made round, in units of h0."""
 ROUNDINGS = 2
-"""How often that is smoothed, parted and remeshed in a round."""
+"""Number of times that the surface is smoothed, parted and remeshed in a round."""
 PASSES, STEP = 4, 0.3
-"""Rounds of dividing, flipping and fitting, and the share of the way to the middle of its triangles
-that a vertex goes in each."""
+"""Number of passes that divide, flip and fit, and the share of the distance to the mean of its
+triangles that a vertex moves in each."""
 DIVIDED = 1.1
-"""Edges longer than this many of their wanted lengths are halved."""
+"""Edges longer than this, in target lengths, are halved."""
 CONTRACTED = 0.6
-"""Edges shorter than this many are contracted."""
+"""Edges shorter than this, in target lengths, are contracted."""
 CHANGED = 0.999
-"""Share of its length that a vertex is below where something changes."""
+"""A vertex changes if its target length is below this share of its present length."""
 
 
 def mended(
     spheres: Spheres, intruded: NDArray[np.bool_], surface: TrueSurface
 ) -> tuple[Spheres, NDArray[np.bool_]]:
-    """Spheres with better triangles, and more room around the intruders, and which vertices may
-    move, ``(V,)``.
+    """The spheres with better triangles around intruders, and which vertices may move, ``(V,)``.
 
-    At first short edges are contracted and others flipped. Where that does not help, the pull to
-    the true surface is lessened, then creases are given up and the surface is made round.
+    In the first rounds, short edges are contracted and others flipped. If intruders remain, the
+    pull to the true surface is reduced. After that, creases there are removed and the surface is
+    made round.
     """
     triangles = spheres.triangles
     wrong = intruded.copy()
@@ -90,8 +94,11 @@ def mended(
 
 
 def rounded(mesh: Sized, where: NDArray[np.bool_]) -> None:
-    """Make the surface ``where (V,)`` round and as thick as its shortest edges are long, with even
-    triangles: what is too sharp or too thin for spheres becomes blunt, and keeps its topology."""
+    """Make the surface at ``where (V,)`` round, and as thick as its edges are long.
+
+    Places that are too sharp or too thin for spheres become blunt. Triangles become even, and the
+    topology is kept.
+    """
     table, own = EdgeTable.of(mesh.triangles), mesh.length
     length, longest = edge_lengths(mesh.vertices, mesh.triangles), own.copy()
     np.maximum.at(longest, table.ends, table.lengths(mesh.vertices)[:, None])
@@ -100,7 +107,7 @@ def rounded(mesh: Sized, where: NDArray[np.bool_]) -> None:
         for here, there in (table.ends.T, table.ends[:, ::-1].T):
             np.minimum.at(least, here, length[there])
         length = least
-    # Elsewhere no edge is longer than it is to be.
+    # Elsewhere the target length is that of the longest edge, so that no edge is split.
     mesh.length = np.where(where, np.maximum(length, FINEST), longest)
     mesh.carried = np.concatenate([mesh.carried, where[:, None], own[:, None]], axis=1)
     for _ in range(ROUNDINGS):
@@ -123,7 +130,7 @@ def _flip(mesh: Sized, gain: Gain, where: NDArray[np.bool_]) -> None:
 
 
 def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
-    """``gain`` of the edges whose two triangles lie ``where (V,)``."""
+    """``gain`` for edges whose two triangles have all corners in ``where (V,)``."""
 
     def value(mesh: Sized, table: EdgeTable) -> Floats:
         inside = where[table.ends].all(axis=1) & where[table.opposite].all(axis=1)
@@ -133,14 +140,16 @@ def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
 
 
 def graded_down(spheres: Spheres, wanted: Floats) -> Floats:
-    """``wanted (V,)`` lengths, and around those that are shorter than now others that
-    grow gently."""
+    """``wanted (V,)`` lengths, made shorter around those that are shorter than the present ones.
+
+    Lengths then grow by at most GRADATION.
+    """
     wanted = wanted.copy()
     table = EdgeTable.of(spheres.triangles)
     (a, b), rise = table.ends.T, GRADATION * table.lengths(spheres.centres)
     while True:
         before = wanted.copy()
-        # What has its length is no reason for others to change theirs.
+        # Only vertices whose length changes have an effect on others.
         source = np.where(wanted < CHANGED * spheres.lengths, wanted, np.inf)
         np.minimum.at(wanted, a, source[b] + rise)
         np.minimum.at(wanted, b, source[a] + rise)
@@ -151,26 +160,30 @@ def graded_down(spheres: Spheres, wanted: Floats) -> Floats:
 def divided(
     spheres: Spheres, wanted: Floats, surface: TrueSurface, creases: Creases | None, room: float
 ) -> tuple[Spheres, NDArray[np.bool_]]:
-    """With ``wanted`` lengths, ``room`` more triangles at the most, and what is to be trained."""
+    """The spheres with the ``wanted`` lengths ``(V,)``, and which of them are to be trained,
+    ``(V,)``.
+
+    At most ``room`` triangles are added.
+    """
     mesh = spheres.as_mesh()
     changed = wanted < CHANGED * spheres.lengths
     free = rings_around(spheres.triangles, changed, RINGS)
     table = EdgeTable.of(spheres.triangles)
-    # Elsewhere no edge is longer than it is to be.
+    # Elsewhere the target length is that of the longest edge, so that no edge is split.
     longest = np.zeros(len(wanted))
     np.maximum.at(longest, table.ends, table.lengths(spheres.centres)[:, None])
     mesh.length = np.where(changed, wanted, np.maximum(longest, spheres.lengths))
     marks = np.stack([changed, free], axis=1).astype(np.float64)
     mesh.carried = np.concatenate([mesh.carried, marks], axis=1)
     for _ in range(PASSES):
-        # Each adds two triangles.
+        # Each split adds two triangles.
         room -= 2 * split_long(mesh, DIVIDED, room // 2)
         contract_short(mesh, CONTRACTED, mesh.carried[:, -2] > 0)
         free = mesh.carried[:, -1] > 0
         flip(mesh, within(free, keeping(surface, delaunay_gain)))
         before = mesh.vertices
         relax(mesh, STEP, free)
-        # Where the shape is let go it stays so.
+        # Where the pull to the true surface was reduced, nothing is fitted to it.
         fit(mesh, surface, free & (mesh.carried[:, 1] == 1))
         if creases is not None:
             drawn_on(mesh, creases)

@@ -1,4 +1,4 @@
-"""The least squares of spheres on triangles: shape, smoothness and what conformity needs."""
+"""The least-squares problem of spheres on triangles: shape, smoothness, intersection, exclusion."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ if TYPE_CHECKING:
     from ..mesh.queries.true_surface import TrueSurface
 
 SLACK = 0.15
-"""How much further than a sphere's radius is searched, for what moves in a step."""
+"""The search for intruders extends beyond a sphere by this share of its radius, because
+things move in a step."""
 RADII = (0.3, 1.3)
-"""Limits of the radii, in edge lengths."""
+"""Smallest and largest radius, in edge lengths."""
 OFFSET = 0.35
-"""``delta_f`` below which a pair is penalised, in edge lengths, where it has all its room;
-more asks for what thin parts have not."""
+"""A pair with a smaller ``delta_f``, in edge lengths, is penalised; at creases it is less. Thin
+parts have no room for a larger value."""
 MARGIN = 0.02
-"""Power below which a generator that is not a sphere's own is penalised, in edge lengths
-squared; twice SAFE where that is more."""
+"""A generator with a smaller power to a sphere that is not of its face is penalised. The unit is
+the squared edge length; where twice SAFE is more, that is used."""
 SHARP = 1000.0
-"""Weight of a vertex on its crease, in edge lengths squared."""
+"""Weight of the squared distance of a vertex from its crease, in edge lengths."""
 LARGEST_STEP = 0.12
-"""Of a centre or radius, in edge lengths."""
+"""Largest step of a centre or a radius, in edge lengths."""
 
 
 def on_creases(creases: Creases, spheres: Spheres) -> Rows:
-    """Vertices on creases, and two planes through each one's crease; three at a corner."""
+    """The vertices on creases, with two planes through the crease of each; at a corner three."""
     at = np.flatnonzero(spheres.rank > 0)
     foot, tangent = creases.closest(spheres.centres[at], spheres.as_mesh().chains()[at])
     axis = np.eye(3)[np.abs(tangent).argmin(axis=1)]
@@ -69,26 +70,29 @@ def on_creases(creases: Creases, spheres: Spheres) -> Rows:
 
 
 MISSING = 1e3
-"""Beyond this a triangle is as good as flat: only other triangles can help."""
+"""The residual of a missing pair does not grow beyond this. Such a triangle is nearly flat, and
+only a change of the triangles can help."""
 
 
 def _softened(missing: Floats) -> Floats:
-    """What pairs are missing, as a logarithm from 1 to MISSING and the same from there on: a
-    triangle that has no area, whose spheres meet nowhere near, may not outweigh all others."""
+    """The residuals of missing pairs, which grow as the logarithm from 1 on, up to MISSING.
+
+    Otherwise one triangle without area, whose spheres do not meet, would outweigh all others.
+    """
     return np.where(missing > 1, 1 + np.log(missing.clip(1.0, MISSING)), missing)
 
 
 class OnSpheres:
-    """What problems with the unknowns ``(c_v, r_v)`` share."""
+    """What is common to problems with the unknowns ``(c_v, r_v)``."""
 
     limits = RADII
-    """Of the radii, in edge lengths."""
+    """Smallest and largest radius, in edge lengths."""
     count: int
     length: Floats
     triangles: Ints
-    """Of the surface ``(T, 3)``."""
+    """The triangles ``(T, 3)`` of the surface."""
     near: tuple[Ints, Ints]
-    """Generators and the spheres not of their faces that they are near."""
+    """Pairs of a generator and a sphere that is near it and not of its face."""
     shape: list[tuple[Rows, Floats]]
 
     def moved(self, state: Spheres, step: Floats) -> Spheres:
@@ -105,8 +109,10 @@ class OnSpheres:
         return np.repeat(values, 4)
 
     def summed(self, residuals: dict[str, Floats], of: dict[str, Ints]) -> Floats:
-        """The squares of the residuals of the triangles around each vertex; ``of`` holds the
-        vertices ``(R, k)`` of each."""
+        """The sum of squared residuals over the triangles around each vertex, ``(V,)``.
+
+        ``of`` has the vertices ``(R, k)`` of each residual.
+        """
         own = np.zeros(self.count)
         for key, residual in residuals.items():
             square = np.repeat(residual**2, of[key].shape[1])
@@ -115,14 +121,14 @@ class OnSpheres:
         return np.asarray(np.bincount(self.triangles.reshape(-1), sums, minlength=self.count))
 
     def powers(self, state: Spheres, points: Floats) -> Floats:
-        """Of the generators to the spheres that they are near, in edge lengths squared."""
+        """The powers of generators to the spheres near them, in squared edge lengths."""
         point, sphere = self.near
         arm = points[point] - state.centres[sphere]
         power = np.einsum("ij,ij->i", arm, arm) - state.radii[sphere] ** 2
         return np.asarray(power / self.length[sphere] ** 2)
 
     def distances(self, state: Spheres) -> Floats:
-        """Of the samples of the shape to their planes, by their weights."""
+        """The weighted distances of the samples of the shape to their planes."""
         return np.concatenate([scale * rows.distance(state.centres) for rows, scale in self.shape])
 
     def shape_blocks(self, residual: Floats) -> list[Block]:
@@ -137,8 +143,11 @@ class OnSpheres:
     def exclusion_block(
         self, state: Spheres, pairs: triangle_pairs.Pairs, weight: float, residual: Floats
     ) -> Block:
-        """Generators that are to stay out of other spheres; one that stands for a missing pair
-        follows no sphere. ``weight``: the root of it."""
+        """The residuals of generators in other spheres, with their derivatives.
+
+        A generator of a missing pair does not follow the spheres. ``weight`` is the square root of
+        the weight.
+        """
         row = np.flatnonzero(residual)
         point, sphere = self.near[0][row], self.near[1][row]
         floor, face = state.smallest**2, point % len(state.triangles)
@@ -151,7 +160,7 @@ class OnSpheres:
 
 
 class SphereProblem(OnSpheres):
-    """Unknowns ``(c_v, r_v)``, with fixed triangles and planes."""
+    """Least squares with the unknowns ``(c_v, r_v)``, and fixed triangles and planes."""
 
     def __init__(
         self,
@@ -186,17 +195,17 @@ class SphereProblem(OnSpheres):
             hold = spheres.hold[rows.corners[:, 0]]
             self.shape.append((rows, np.sqrt(SHARP * hold) / self.length[rows.corners[:, 0]]))
         self.laplacian = Laplacian.of(EdgeTable.of(triangles).ends, self.count)
-        # Where the shape is let go, smoothness takes its place.
+        # Where the pull to the true surface is reduced, smoothness replaces it.
         loose = weights["smooth"] * (1 - spheres.hold)
         self.bending = np.sqrt(weights["normal"] + loose) / self.length
         self.smoothing = np.sqrt(weights["smooth"]) / self.length
-        # Across a crease nothing is smooth.
+        # At creases the surface is not made smooth.
         self.bending = np.where(spheres.rank > 0, 0.0, self.bending)
         self.smoothing = np.where(spheres.rank > 0, 0.0, self.smoothing)
         self.evening = np.sqrt(weights["radius"]) / self.length
 
     def energies(self, residuals: dict[str, Floats]) -> Floats:
-        """Of the triangles around each vertex."""
+        """The sum of squared residuals over the triangles around each vertex, ``(V,)``."""
         triangles, (point, sphere) = self.triangles, self.near
         vertex = np.arange(self.count)[:, None]
         of = {
@@ -239,12 +248,12 @@ class SphereProblem(OnSpheres):
         centres, radii, triangles = state.centres, state.radii, state.triangles
         pairs = state.pairs()
         blocks = []
-        # Pairs that are to exist.
+        # Residuals of pairs that do not exist, or are too close.
         row = np.flatnonzero(residuals["intersection"])
         columns, values = triangle_pairs.square_gradient(
             pairs.centre[row], triangles[row], centres, radii
         )
-        # The derivative of what is softened.
+        # The derivative of ``_softened``.
         short = self.offset[row] ** 2 - pairs.square[row] / self.face_length[row] ** 2
         slope = -self.strict["intersection"] / np.maximum(1.0, short)
         slope[short > MISSING] = 0.0

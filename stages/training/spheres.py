@@ -1,4 +1,4 @@
-"""Spheres at the vertices of a triangle surface, whose generators follow in closed form."""
+"""Spheres at the vertices of a triangle surface. They define the generators in closed form."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ..remesh.operations import fold_cosines
 from .losses import triangle_pairs
 
 FIRST_RADIUS = 0.8
-"""In edge lengths."""
+"""Radius of a sphere at the start, in edge lengths."""
 SMALLEST = 0.1
-"""``delta_f`` that stands for a missing pair while there is none, in edge lengths."""
+"""``delta_f`` of the substitute for a missing pair, in edge lengths."""
 LEAST_ROOM = 0.05
-"""Of what is folded flat, whose pairs would have no room at all."""
+"""Smallest value of ``room``, for edges that are folded flat, whose pairs would have no room."""
 SAFE = 2e-5
-"""Smallest power, in units of h0^2, that lets a generator pass as outside a sphere."""
+"""Smallest power, in units of h0^2, at which a generator counts as outside a sphere."""
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,22 @@ class Spheres:
     radii: Floats
     triangles: Ints
     lengths: Floats
-    """Mean length of the edges at each vertex when they were last changed."""
+    """Mean length ``(V,)`` of the edges at each vertex when they were last changed."""
     hold: Floats
-    """Share of the shape's weight at each vertex."""
+    """Share ``(V,)`` of the shape's weight at each vertex, 1 unless a repair has reduced it."""
     age: Floats
-    """Rounds of repair in which each vertex was at an intruder."""
+    """Number of rounds of repair ``(V,)`` in which each vertex was at an intruder."""
     rank: Ints
-    """0 for a vertex that is free, 1 on a crease, 2 at a corner."""
+    """The rank ``(V,)`` of each vertex: 0 if it is free, 1 on a crease, 2 at a corner."""
     creases: Ints
-    """The edges on creases: their ends and the number of their chain, ``(K, 3)``."""
+    """The edges on creases ``(K, 3)``: their two ends, and the number of their chain."""
     room: Floats
-    """Share of a pair's usual offset at each vertex, less on creases of acute angles: in a wedge
-    both generators of a face must lie on its own side of the middle."""
+    """Share ``(V,)`` of a pair's usual offset. It is less on creases with acute angles, because in
+    a wedge both generators of a face must lie on its own side of the bisecting plane."""
 
     @classmethod
     def at(cls, mesh: Sized) -> Spheres:
+        """Spheres with the first radii at the vertices of ``mesh``."""
         length = edge_lengths(mesh.vertices, mesh.triangles)
         ones = np.ones_like(length)
         return cls(
@@ -58,30 +59,33 @@ class Spheres:
 
     @classmethod
     def stored(cls, arrays: Mapping[str, Any]) -> Spheres:
-        """From a checkpoint."""
+        """The spheres of a checkpoint."""
         return cls(*(arrays[item.name] for item in fields(cls)))
 
     @property
     def face_lengths(self) -> Floats:
+        """The mean of ``lengths`` over the corners of each face, ``(F,)``."""
         return np.asarray(self.lengths[self.triangles].mean(axis=1))
 
     @property
     def smallest(self) -> Floats:
-        """The offset ``(F,)`` that stands for a missing pair."""
+        """The offset ``(F,)`` of the substitute for a missing pair."""
         return SMALLEST * self.face_room * self.face_lengths
 
     @property
     def face_room(self) -> Floats:
+        """The smallest ``room`` at the corners of each face, ``(F,)``."""
         return np.asarray(self.room[self.triangles].min(axis=1))
 
     def pairs(self) -> triangle_pairs.Pairs:
+        """The pairs of all faces, where they exist."""
         return triangle_pairs.radical_pairs(self.centres, self.radii, self.triangles)
 
     def generators(self) -> tuple[Floats, Floats]:
-        """Generators ``(2F, 3)``, outer ones first, and delta^2 ``(F,)``.
+        """The generators ``(2F, 3)``, outer ones first, and ``delta_f^2 (F,)``.
 
-        What stands for a missing pair stays near its triangle, however far its spheres are from
-        meeting: the diagram has to be bounded.
+        A missing pair gets substitutes close to its triangle, however far its spheres are from
+        meeting, because the diagram must be bounded.
         """
         pairs, floor = self.pairs(), self.smallest**2
         middle = self.centres[self.triangles].mean(axis=1)
@@ -91,12 +95,16 @@ class Spheres:
         return pairs.points(floor), pairs.square
 
     def intruded(self, threads: int) -> NDArray[np.bool_]:
-        """Vertices whose sphere holds a generator not its own, or a triangle without a pair."""
+        """The vertices whose sphere contains an intruder, or that are at a
+        triangle without a pair."""
         return self.intrusion(threads) > 0
 
     def intrusion(self, threads: int) -> Floats:
-        """How far inside the sphere of each vertex there is a generator not its own, as a power in
-        edge lengths squared, ``(V,)``; 1 at a triangle without a pair, 0 where all is well."""
+        """The depth of the deepest intruder in the sphere of each vertex, ``(V,)``.
+
+        It is a power in squared edge lengths. It is 1 at a triangle without a pair, and 0 if there
+        is no intruder.
+        """
         points, square = self.generators()
         mesh = PolygonMesh.of_triangles(self.centres, self.triangles)
         point, sphere = near_pairs(mesh, points, self.centres, self.radii, 0.02, threads)
@@ -109,12 +117,13 @@ class Spheres:
         return found
 
     def as_mesh(self) -> Sized:
-        """Centres, triangles and lengths; radii and holds are carried along."""
+        """Centres, triangles and lengths as a mesh, which carries radius, hold and age."""
         carried = np.stack([self.radii, self.hold, self.age], axis=1)
         return Sized(self.centres, self.triangles, self.lengths, carried, self.rank, self.creases)
 
     @classmethod
     def of_mesh(cls, mesh: Sized) -> Spheres:
+        """The spheres of a mesh as ``as_mesh`` returns it."""
         radii, hold, age = mesh.carried.T[:3]
         return cls(
             mesh.vertices, radii, mesh.triangles, mesh.length, hold, age, mesh.rank, mesh.creases,
@@ -123,7 +132,7 @@ class Spheres:
 
 
 def rings_around(triangles: Ints, marked: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
-    """``marked (V,)`` grown by rings of neighbouring vertices."""
+    """``marked (V,)``, and the vertices up to ``rings`` rings around them."""
     for _ in range(rings):
         grown = marked.copy()
         grown[triangles[marked[triangles].any(axis=1)]] = True
@@ -153,8 +162,11 @@ def edge_lengths(vertices: Floats, triangles: Ints) -> Floats:
 
 
 def intrusion_gain(mesh: Sized, table: EdgeTable) -> Floats:
-    """By how much a flip lessens the intrusion of the generators of an edge's two triangles into
-    the spheres opposite, where there is any. The radii are the first column carried along."""
+    """The decrease of intrusion by a flip, for the two triangles of an edge and the opposite
+    spheres.
+
+    The mesh carries the radii in its first column. The gain is -1 where there is no intrusion.
+    """
     radii = mesh.carried[:, 0]
 
     def intrusion(first: list[Ints], second: list[Ints]) -> Floats:

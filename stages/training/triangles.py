@@ -1,4 +1,4 @@
-"""From the initial surface to trained triangles: remeshed, fitted, made to conform."""
+"""Training of triangles: the first surface is remeshed, fitted, and made to conform."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ if TYPE_CHECKING:
 
 
 FOLLOWED = 0.8
-"""Length of the edges along a crease, over its own, below which a part of it has none; edges are
-chords, so that of a small circle they are shorter."""
+"""A crease counts as followed if its edges have this share of its length. Edges are chords, so that
+those of a small circle are shorter than it."""
 MISSED = 0.05
-"""Share of the faces asked for by which they may be missed."""
+"""Relative deviation from the wanted number of triangles above which there is a warning."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """Trained triangles, the losses of their training, and how it went."""
+    """The trained triangles, the losses, and facts about the training."""
 
     spheres: Spheres
     history: Floats
     rounds: int
     from_input: bool
-    """Whether the input's own triangles were remeshed, or the initial surface."""
+    """Whether the triangles of the input were remeshed, and not the first surface."""
     creases: Creases | None
-    """What the input has of creases, if they were looked for and there are any."""
+    """The creases of the input, if they were sought and it has any."""
     missed: int
-    """Creases between corners that no edges follow."""
+    """Number of creases between corners that no edges follow."""
     refinement: dict[str, Any] | None
-    """How the refinement went, if there was to be one."""
+    """Facts about the refinement, if there was one."""
     asked: int | None
-    """How many triangles there were to be."""
+    """The wanted number of triangles, if one was given."""
     refinements: int = 0
-    """Rounds of refinement."""
+    """Number of rounds of refinement."""
 
     def stored(self) -> dict[str, Any]:
-        """What a checkpoint of a later phase needs for this one to be found done."""
+        """What a checkpoint of a later phase must store so that this phase is not repeated."""
         count = len(self.spheres.centres)
         state = {item.name: getattr(self.spheres, item.name) for item in fields(Spheres)}
         return state | {
@@ -66,8 +66,10 @@ class Trained:
 
     @property
     def given_up(self) -> int:
-        """Creases that edges followed at first, but not to their ends any more: where they kept the
-        surface from conforming."""
+        """Number of creases that edges followed at first, and in the end only in part.
+
+        Where they prevented the certificate, the surface was made round.
+        """
         if self.creases is None:
             return 0
         start, end, chain = self.spheres.creases.T
@@ -78,7 +80,7 @@ class Trained:
         return max(0, int((followed < FOLLOWED * whole).sum()) - self.missed)
 
     def facts(self) -> dict[str, Any]:
-        """How it went, for the manifest."""
+        """The figures for the manifest."""
         facts = started(self.rounds, self.from_input)
         if self.creases is not None:
             spheres = self.spheres
@@ -95,6 +97,7 @@ class Trained:
         return facts
 
     def warnings(self) -> list[str]:
+        """The warnings for the manifest."""
         said = []
         if self.missed and self.creases is not None:
             said.append(
@@ -124,7 +127,7 @@ class Trained:
 
 
 def started(rounds: int, from_input: bool) -> dict[str, Any]:
-    """What the manifest says of a training's start and repairs."""
+    """The figures for the manifest about the start and the repairs of a training."""
     return {"repair_rounds": rounds, "started_from": "input" if from_input else "init"}
 
 
@@ -136,12 +139,13 @@ def train_triangles(
     angle: float | None = None,
     refine: Refine | None = None,
 ) -> Trained:
-    """The input's own triangles, or the surface of stage init where it has none that are closed and
-    embedded, remeshed as ``spacing`` asks and trained by ``iterations`` steps and as many repairs
-    as it needs.
+    """Remesh the first surface as ``spacing`` says, and train it.
 
-    Edges follow the creases that turn by ``angle`` degrees or more; None lets them go. With
-    ``refine`` what is too far from the shape then is divided and trained again.
+    That is the input's own surface if it is closed and does not cross itself, else the one of the
+    init stage. There are ``iterations`` steps, and as many repairs as needed. Edges follow creases
+    that turn by ``angle`` degrees or more; None follows none. With ``refine``, triangles that are
+    then too far from the shape are divided and trained again. Raises NumericalFailure if the shape
+    needs more triangles than ``spacing`` allows.
     """
     frame, surface = ModelFrame.of(context.arrays("classify")), context.surface
     vertices, corners, from_input, exact = _first(context, frame)
@@ -186,11 +190,11 @@ def train_triangles(
 
 
 def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool, bool]:
-    """Vertices in model units and triangles to start from, whether they are the input's, and
-    whether these do not cross each other.
+    """The vertices, in model units, and triangles to start from.
 
-    What follows keeps the topology that it starts with. The input's own triangles have the right
-    one, wherever they are closed and do not cross each other; else the initial surface may have it.
+    The other two values say whether they are those of the input, and whether no two of these cross.
+    The training keeps the topology that it starts with. The input's own triangles have the right
+    one if they are closed and do not cross; otherwise the first surface may have it.
     """
     source = context.source()
     expected = source.topology()
@@ -209,8 +213,10 @@ def _first(context: Context, frame: ModelFrame) -> tuple[Floats, Ints, bool, boo
 
 
 def resisting(spheres: Spheres, frame: ModelFrame, threads: int) -> str:
-    """Where spheres hold generators of other faces: the worst places, in the input's coordinates,
-    with the thickness there."""
+    """A sentence about spheres that contain generators of other faces.
+
+    It names the worst places, in the coordinates of the input, and the thickness there.
+    """
     depth = spheres.intrusion(threads)
     if not depth.any():
         return (

@@ -1,1 +1,1 @@
-"""Voronoi diagrams, the surface between generators inside and outside, and its certificate."""
+"""The trained surface, its generators, their Voronoi diagram, and the certificate."""

@@ -1,16 +1,18 @@
-"""The certificate: a trained surface equals the interface of its generators' Voronoi diagram.
+"""The certificate: a trained surface is the interface of its generators' Voronoi diagram.
 
-In exact arithmetic it does if
+In exact arithmetic this holds if five conditions do:
 
-1. ``incident``: every generator lies on the spheres of its face's corners;
+1. ``incident``: every generator lies on the spheres at the corners of its face;
 2. ``exclusion``: no generator lies inside any other sphere;
-3. ``rings``: each face is a convex planar polygon of nonzero area, every edge is in two faces with
-   opposite directions, every vertex in three faces or more;
+3. ``rings``: each face is a flat, convex polygon of nonzero area, every edge is in two faces with
+   opposite directions, and every vertex in three faces or more;
 4. ``orientation``: each face's normal points from its inside to its outside generator;
 5. ``winding``: the surface winds once around every inside generator, and around no outside one.
 
-Differences of powers are affine on a face, so by 1 and 2 each face lies in the Voronoi face of its
-pair, and no open cell crosses the surface; by 4 and 5 there is no other interface.
+The power of a point c and a sphere (c_v, r_v) is ``|c - c_v|^2 - r_v^2``. By 1 and 2, each corner
+of a face is at least as near to the face's pair as to any other generator. Differences of squared
+distances are affine, so the same holds on the whole face: it lies in the Voronoi face of its pair.
+Hence no cell crosses the surface, and by 4 and 5 there is no other interface.
 """
 
 from __future__ import annotations
@@ -27,41 +29,42 @@ from ..mesh.spheres import held, without
 from ..mesh.topology import bad_edges
 
 TAU = 1e-8
-"""Largest ``|power|`` of a face's generator to a sphere of its corners, in units of h0^2."""
+"""Largest ``|power|`` of a generator to the spheres at its face's corners, in units of h0^2."""
 MARGIN = 1e-5
-"""Smallest power of another generator, in units of h0^2."""
+"""Smallest power that any other generator may have, in units of h0^2."""
 PLANAR = 1e-8
-"""Largest distance of a corner from its face's plane, in units of h0."""
+"""Largest distance of a corner from the plane of its face, in units of h0."""
 REACH = 0.5
-"""Distance beyond a sphere, in units of h0, within which generators are measured."""
+"""Distance beyond a sphere, in units of h0, up to which powers of generators are measured."""
 NEAR = 0.2
-"""The distance of the first search, in median radii."""
+"""The distance beyond a sphere of the first search, in median radii."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """The result of the checks; lengths are in units of h0."""
+    """The result of the checks. Lengths are in units of h0."""
 
     holds: bool
     failed: tuple[str, ...]
-    """The conditions that fail: incident, exclusion, rings, orientation, winding."""
+    """The names of the conditions that fail: incident, exclusion, rings, orientation, winding."""
     incident_power: float
-    """tau: the largest ``|power|`` of a face's generator to the spheres of its corners."""
+    """tau: the largest ``|power|`` of a generator to the spheres at its face's corners."""
     margin: float
-    """m: the smallest power of a generator to a sphere that is not one of its face's, at most
-    REACH^2."""
+    """m: the smallest power of a generator to a sphere that is not at its face's corners. Larger
+    values than REACH^2 are not measured."""
     intruders: int
-    """Pairs of a generator and a sphere that is not one of its face's, with a power below the
-    margin."""
+    """Number of pairs of a generator and a sphere, not of its face, with a power below MARGIN."""
     bad_rings: int
-    """Faces that are not convex, planar or solid, and edges that are not in two faces."""
+    """Number of faces that are not flat and convex with an area, and of edges that
+    are not in two faces."""
     turned_faces: int
+    """Number of faces whose normal does not point from the inside to the outside generator."""
     wound_wrongly: int
-    """Generators on the wrong side of the surface."""
+    """Number of generators on the wrong side of the surface."""
     smallest_offset: float
-    """The smallest of half the distance between the two generators of a face."""
+    """Half the smallest distance between the two generators of a face."""
     conforms_within: float
-    """Largest distance of a face from the bisector of its pair, in floating point."""
+    """Largest distance of a face from the bisector plane of its pair, as computed."""
 
 
 def certify(
@@ -72,10 +75,10 @@ def certify(
     face_generators: Ints,
     threads: int = 1,
 ) -> Certificate:
-    """Check ``trained`` with spheres ``radii (V,)`` against ``generators (N, 3)``.
+    """The certificate of ``trained`` with sphere radii ``radii (V,)`` and ``generators (N, 3)``.
 
-    ``inside (N,)`` are their labels, ``face_generators (F, 2)`` the inside and the outside one of
-    each face. All in model units.
+    ``inside (N,)`` has the labels of the generators, and ``face_generators (F, 2)`` the inside and
+    the outside generator of each face. All lengths are in model units.
     """
     corner, face = trained.face_vertices, trained.corner_faces
     first, second = face_generators[:, 0], face_generators[:, 1]
@@ -122,8 +125,10 @@ def certify(
 def _other_powers(
     trained: PolygonMesh, radii: Floats, generators: Floats, face_generators: Ints, threads: int
 ) -> Floats:
-    """Powers of generators in or near a sphere that is not one of their face's spheres: all of them
-    up to some bound above MARGIN, the least of them among these if it is below REACH^2."""
+    """The powers of generators to spheres that are not of their faces, up to a bound above MARGIN.
+
+    The least power is among them if it is below REACH^2.
+    """
     incident = (face_generators[trained.corner_faces] * trained.vertex_count).T
     own = np.unique((incident + trained.face_vertices).reshape(-1))
     used = np.unique(trained.face_vertices)
@@ -144,8 +149,8 @@ def _other_powers(
 
 
 def sound_rings(mesh: PolygonMesh, area: Floats, normal: Floats) -> NDArray[np.bool_]:
-    """Faces that are planar and convex: they turn left at every corner, and once around in
-    total."""
+    """Whether each face is flat and convex, ``(F,)``: it turns left at every
+    corner, and once in total."""
     face, here, after = mesh.corner_faces, mesh.face_vertices, mesh.next_vertices
     into = mesh.vertices[after] - mesh.vertices[here]
     out = into[mesh.next_corners]

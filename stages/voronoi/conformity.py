@@ -1,4 +1,4 @@
-"""How much of the Voronoi interface of the trained generators is the trained surface."""
+"""Agreement between the Voronoi interface of the generators and the trained surface."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from .trained_surface import TrainedSurface
 
 @dataclass(frozen=True)
 class Conformity:
-    """Figures of the actual diagram before any merging. Squared lengths are in units of
-    spacing^2."""
+    """Measures of the computed diagram before any merging. Squared lengths are
+    divided by spacing^2."""
 
     pair_area_share: float
-    """Area of the faces between the two generators of one trained face, divided by the whole
-    area."""
+    """Area of the interface faces between the two generators of one trained face, divided by the
+    area of the interface."""
     pair_faces: int
-    """Trained faces whose pair has a face in the diagram."""
+    """Number of trained faces whose pair shares a face in the diagram."""
     trained_faces: int
     interface_faces: int
     residual_max: float
-    """Largest ``|power|`` of a generator to a sphere of its face."""
+    """Largest ``|power|`` of a generator to a sphere at its face's corners."""
     residual_rms: float
     intrusion: float
-    """Most negative power of a generator to a sphere not of its face; 0 if none is inside one."""
+    """The most negative power of a generator to a sphere that is not of its
+    face; 0 without intruders."""
 
 
 def conformity(
     surface: VoronoiSurface, trained: TrainedSurface, threads: int = 1, spacing: float = 1.0
 ) -> Conformity:
-    """Compare the interface ``surface`` of the generators of ``trained`` with its faces."""
+    """Compare ``surface``, the interface of the generators of ``trained``, with its faces."""
     from ..mesh.spheres import near_pairs
 
     area, _, _ = face_frames(surface.mesh)

@@ -1,5 +1,7 @@
-"""The surface that stage sphere-train writes: the trained faces, or the interface of their
-generators."""
+"""The surface that the sphere-train stage writes.
+
+It is the trained surface if the certificate holds, else the interface of its generators.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +20,26 @@ from .diagram.vertices import FLAT
 from .trained_surface import TrainedSurface
 
 MERGE = 1e-4
-"""In units of h0: shorter edges of the diagram are contracted before it is compared."""
+"""Shorter edges of the diagram, in units of h0, are contracted before its faces are counted."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """A surface, the trained faces whose generators bound each of its faces, and the checks."""
+    """The surface to write, and the results of the checks."""
 
     mesh: PolygonMesh
     bounds: Ints
-    """Trained faces of the inside and the outside generator of each face, ``(F, 2)``."""
+    """The trained faces of the inside and the outside generator of each face, ``(F, 2)``."""
     certificate: Certificate
     conformity: Conformity
     cleaned: CleanSurface
     faces_after_merging: int
-    """Of the diagram, after merging at MERGE."""
+    """Number of faces of the diagram after its edges shorter than MERGE were contracted."""
     merged_within: float
-    """Largest distance by which vertices were moved to remove slivers, in units of h0."""
+    """Largest distance by which a vertex was moved to remove thin faces, in units of h0."""
 
     def facts(self) -> dict[str, Any]:
-        """Figures for the manifest."""
+        """The figures for the manifest."""
         return {
             "certificate": vars(self.certificate) | {"failed": list(self.certificate.failed)},
             "conformity": vars(self.conformity),
@@ -53,7 +55,7 @@ class Written:
         }
 
     def warnings(self, count: int, merge: float) -> list[str]:
-        """Warnings about ``count`` trained faces that have no certificate."""
+        """Warnings for the manifest about ``count`` trained faces without a certificate."""
         if self.certificate.holds:
             return []
         said = []
@@ -81,11 +83,11 @@ def written(
     trained: TrainedSurface, merge: float, threads: int,
     refused: Callable[[Certificate], None] = lambda certificate: None,
 ) -> Written:  # fmt: skip
-    """The trained faces if the certificate holds, else the interface of their generators.
+    """The trained surface if the certificate holds, else the interface of its generators.
 
-    In the interface, vertices within ``merge`` of a trained one move to it where the topology
-    allows (0: none). ``refused`` is called with a certificate that does not hold, before anything
-    else.
+    Vertices of the interface that are within ``merge`` of a trained vertex move to it where the
+    topology allows it; 0 moves none. If the certificate does not hold, ``refused`` is called with
+    it before the interface is computed.
     """
     certificate = trained.certificate(threads)
     if not certificate.holds:

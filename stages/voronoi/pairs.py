@@ -1,4 +1,4 @@
-"""Generator pairs of trained faces, labelled by a test for the inside."""
+"""Labels for the pairs of generators: which of the two is inside the trained surface."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from ..mesh.polygons import Floats, PolygonMesh
 from ..mesh.queries.parity import RayParity
 
 CLOSER = 6
-"""How often a pair on one side of the surface is moved across it, each time with half the
-distance."""
+"""Number of times that a pair on one side is tried across the surface, with
+half the distance each."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """``inside, outside (F, 3)``: the generators of face f."""
+    """The inside and the outside generator of each face, ``(F, 3)`` each."""
 
     inside: Floats
     outside: Floats
     relabelled: int
-    """Pairs whose face normal pointed inward."""
+    """Number of pairs of faces whose normal points inward."""
     replaced: int
-    """Pairs with both points on one side of the surface, which were moved across their face's
-    centroid."""
+    """Number of pairs with both generators on one side of the surface, which were moved across the
+    centroid of their face."""
     undecided: int
-    """Pairs for which that failed, so that the orientation of the face decided."""
+    """Number of pairs for which that failed, so that the normal of the face decided."""
 
 
 def label_pairs(trained: PolygonMesh, ahead: Floats, behind: Floats) -> Pairs:
-    """Which of ``ahead (F, 3)`` (along the normal) and ``behind`` is inside the closed surface.
+    """Decide which of ``ahead (F, 3)``, along the face normals, and ``behind (F, 3)`` is inside.
 
-    A few trained faces are folded over and their normals point inward: one such pair labelled by
-    its normal tears large false faces into the interface. Of a pair on one side one generator may
-    even lie beyond all others, and the interface would have no end there.
+    A few trained faces may be folded over, with normals that point inward. If the normal decided,
+    one such pair would add large false faces to the interface. If both generators are on one side,
+    one of them may lie beyond all other generators, and the interface would be unbounded there.
     """
     vertices, triangles, _ = fan_triangles(trained)
     rays = RayParity(vertices, triangles)

@@ -1,4 +1,4 @@
-"""The object of the method: polygons over spheres, and a pair of generators for each of them."""
+"""The trained surface: polygons, the spheres at their vertices, and their pairs of generators."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from .diagram.interface import VoronoiSurface, interface
 
 @dataclass(frozen=True)
 class TrainedSurface:
-    """V spheres and F faces, in model units (h0 is 1)."""
+    """V spheres and F faces with their generators, in model units (h0 is 1)."""
 
     polygons: PolygonMesh
-    """The faces, over the spheres' centres c_v ``(V, 3)``."""
+    """The faces. Their vertices are the centres c_v of the spheres, ``(V, 3)``."""
     radii: Floats
-    """r_v, ``(V,)``."""
+    """The radii r_v of the spheres, ``(V,)``."""
     inside: Floats
-    """The generator inside of each face, ``(F, 3)``."""
+    """The inside generator of each face, ``(F, 3)``."""
     outside: Floats
-    """The generator outside of each face, ``(F, 3)``."""
+    """The outside generator of each face, ``(F, 3)``."""
     offsets: Floats
-    """delta_f, half the distance of a pair, ``(F,)``; negative where its labels were swapped."""
+    """delta_f, half the distance of the pair, ``(F,)``; negative where the labels were swapped."""
     spacing: Floats
-    """The local spacing at each face, ``(F,)``."""
+    """The local edge length at each face, ``(F,)``."""
 
     @classmethod
     def stored(cls, arrays: Mapping[str, Any], frame: ModelFrame) -> TrainedSurface:
-        """From the arrays that stage sphere-train wrote."""
+        """The surface from the arrays that the sphere-train stage wrote."""
         polygons = PolygonMesh.from_arrays(arrays, "trained/")
         return cls(
             polygons.with_vertices(frame.model_from_input(polygons.vertices)),
@@ -47,7 +47,7 @@ class TrainedSurface:
         )
 
     def as_arrays(self, frame: ModelFrame) -> dict[str, Any]:
-        """The arrays to store, in the units of the input."""
+        """The arrays to store, in the unit of the input."""
         centres = frame.input_from_model(self.polygons.vertices)
         return {
             "spheres/center": centres,
@@ -65,17 +65,17 @@ class TrainedSurface:
 
     @cached_property
     def generators(self) -> Floats:
-        """Of all faces ``(2F, 3)``: face f has number f inside and F + f outside."""
+        """All generators ``(2F, 3)``: f is the inside one of face f, and F + f the outside one."""
         return np.concatenate([self.inside, self.outside])
 
     @cached_property
     def labels(self) -> NDArray[np.bool_]:
-        """Which generators ``(2F,)`` are inside."""
+        """Whether each generator is inside, ``(2F,)``."""
         return np.arange(2 * self.face_count) < self.face_count
 
     @cached_property
     def pairs(self) -> Ints:
-        """The inside and the outside generator of each face, ``(F, 2)``."""
+        """The indices of the inside and the outside generator of each face, ``(F, 2)``."""
         number = np.arange(self.face_count)
         return np.stack([number, self.face_count + number], axis=1)
 
@@ -85,11 +85,11 @@ class TrainedSurface:
         return np.arange(2 * self.face_count) % self.face_count
 
     def interface(self) -> VoronoiSurface:
-        """What lies between inside and outside in the generators' Voronoi diagram."""
+        """The interface of the generators in their Voronoi diagram."""
         return interface(self.generators, self.labels)
 
     def certificate(self, threads: int, inner: Floats | None = None) -> Certificate:
-        """Whether the polygons are that interface, also with the ``inner (N, 3)`` generators."""
+        """The certificate, with ``inner (N, 3)`` as further inside generators."""
         more = np.zeros((0, 3)) if inner is None else inner
         return certify(
             self.polygons,

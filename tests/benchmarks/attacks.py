@@ -1,8 +1,8 @@
-"""HDF5 files made to do harm, with manifests that fit, and the stages that read them.
+"""HDF5 files that are made to do harm, with manifests that match, and the stages that read them.
 
-Every one must be refused in one sentence that names the file, with exit code 4 and no file
-changed. Exits with 1 at anything else. What only the mathematics could tell, a coordinate of
-1e300, may also be taken, or end as a numerical failure.
+Each must be refused in one sentence that names the file, with exit code 4 and no file changed.
+Exits with 1 otherwise. A value that only the computation can find wrong, such as a coordinate of
+1e300, may also be accepted, or end as a numerical failure.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from corruptions import FINISHED, OWN, PAGES, READERS, Bench, judged, raw
 from trials import Server
 
 FINE = {"refused", "accepted", "said stale"}
-"""How a reader may end; a page may be drawn of what it does not need the file for."""
+"""The ends that are allowed. A report may still be drawn if it does not need the file."""
 
 
 def trial(bench: Bench, stem: str, name: str, dice: random.Random) -> str:
-    """How a reader of an attacked file ended; with a colon if it was not as it should be."""
+    """How the reader of an attacked file ended. The text has a colon if that was wrong."""
     place = bench.runs.copy("trial", *FINISHED)
     path = run_folder(place) / f"{stem}.h5"
     os.mkfifo(path.with_name("pipe"))
@@ -42,11 +42,11 @@ def trial(bench: Bench, stem: str, name: str, dice: random.Random) -> str:
     limit = bench.limit(words)
     before = raw(place)
     done = run(bench.runs.server, words, place, timeout=limit)
-    # Nothing says how long a history is, and only pages read it.
+    # The length of a history is not checked, and only reports read it.
     lenient = name.endswith(" huge") or name.startswith("history ")
     end = judged(done, limit, words, path, place, before, lambda: bench.expected(words), lenient)
     if end == "same result" and words[0] != "fabricate" and not lenient:
-        # The reader had no need of that array, or took it for what it is not.
+        # The reader did not need that array, or accepted it.
         end = "same result: taken as whole"
     if ":" in end:
         print(f"{path.name}, {name}, {' '.join(words)}: {end}", flush=True)

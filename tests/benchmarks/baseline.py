@@ -1,11 +1,11 @@
-"""The table of the baseline: what ``vorolight baseline`` reaches, beside the method's own code.
+"""The table of the baseline: ``vorolight baseline`` beside the code of VoroMesh's authors.
 
-Run with ``make table-baseline MESHES=folder PEER=file.json``. Meshes are expected with their
-longest side 1; PEER holds what the method's own code reaches on them under ``runs.NAME``:
-``surface_polygons``, ``surface_cd2_x1e3``, ``normal_consistency``, ``euler``, ``generators``.
+Run with ``make table-baseline MESHES=folder PEER=file.json``. The longest side of each mesh must be
+1. PEER has the results of that code under ``runs.NAME``: ``surface_polygons``,
+``surface_cd2_x1e3``, ``normal_consistency``, ``euler``, ``generators``.
 
-Where a shape has tips thinner than a grid box (homer's fingers, cheburashka's thumbs), it depends
-on the seed which of them are lost, and surface CD^2 changes up to fivefold between two seeds.
+Where a shape has tips thinner than a grid box (homer's fingers, cheburashka's thumbs), the seed
+decides which of them are lost. The surface CD^2 of two seeds can then differ by a factor of five.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def row(shape: str, method: str, seed: int) -> dict[str, Any]:
             "pinched_vertices": found["topology"]["pinched_vertices"],
             "input_topology": made["input_topology"],
             "generators": made["generators"],
-            # Of the whole command: the process, its start and classify included.
+            # The time of the whole command, with its start and classify.
             "cpu_seconds": after.children_user
             + after.children_system
             - before.children_user

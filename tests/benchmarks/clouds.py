@@ -1,9 +1,9 @@
-"""The table of point clouds: meshes are sampled, the samples made noisy and run, bare of normals.
+"""The table of point clouds: meshes are sampled, noise is added, and the samples are run.
 
-Run with ``make table-clouds MESHES=folder PEER=file.json``. What comes out is compared with the
-mesh, which the run never sees, in units of the mesh's longest side. Noise is in percent of the
-diagonal. PEER holds another method's F1 under ``runs.NAME``, with 1 % of noise under
-``runs.NAME_n0.01``.
+Run with ``make table-clouds MESHES=folder PEER=file.json``. Samples have no normals. The result is
+compared with the mesh, which the run does not see, in units of the mesh's longest side. Noise is in
+percent of the diagonal. PEER has the F1 of another method under ``runs.NAME``, and with 1 % of
+noise under ``runs.NAME_n0.01``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from surfaces import cli
 from vorolight.stages.inputs.mesh.source import MeshSource
 
 F1_AT = 0.01
-"""Of the longest side."""
+"""Threshold of F1, divided by the longest side."""
 
 
 def row(shape: Path, n: int, count: int, percent: float) -> dict[str, Any]:

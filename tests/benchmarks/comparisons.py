@@ -1,4 +1,4 @@
-"""The tables with figures in the paper: fields, meshes and views."""
+"""The tables for which the paper has figures: fields, meshes and views."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from runs import (
 
 
 def fields(given: Settings) -> str:
-    """Table 1: curvature and mean |F| of two fields before and after training."""
+    """Table 1: curvature and mean |F| of two fields, before and after training."""
     rows = []
     for name in ("cube-cavity", "heart"):
         told = {
@@ -190,7 +190,7 @@ def _floors(found: dict[str, dict[str, Any]]) -> str:
 
 
 def images(given: Settings) -> str:
-    """Reconstruction from views that are rendered of meshes."""
+    """The table of reconstructions from rendered views of meshes."""
     rows, by_shape = [], []
     for told, count in zip(paper.VIEWS.items(), given.views, strict=True):
         good = []

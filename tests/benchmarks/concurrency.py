@@ -1,8 +1,9 @@
-"""Eight small shapes by every way of running many at once: what is equal to the byte, wall times.
+"""Eight small shapes, run at once in every way that there is: wall times, and equality of all
+files.
 
-Run with ``make concurrency``; the ways by Slurm are tried where one answers (`sinfo`). Two
-processes are then started at once on one run folder: one has to work, and the other to end with 75.
-Exits with 1 when anything differs.
+Run with ``make concurrency``. Slurm is used if it answers (``sinfo``). Then two processes are
+started at once on one run folder: one must work, and the other must end with exit code 75. Exits
+with 1 if a file differs.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ ON_SLURM = ("vorolight sbatch", "snakemake on Slurm")
 
 
 def compared(folder: Path, count: int) -> list[dict[str, object]]:
-    """A row for each way: seconds, and the files that differ from those of the first."""
+    """A row for each way: its seconds, and the files that differ from those of the first way."""
     reference = ways.prepare(folder / "reference", count)
     rows: list[dict[str, object]] = []
     for name, way in ways.WAYS.items():
@@ -42,7 +43,7 @@ def compared(folder: Path, count: int) -> list[dict[str, object]]:
 
 
 def at_once(folder: Path) -> dict[str, object]:
-    """Two processes at once on one run folder, of which the stages before stand."""
+    """The result of two processes at once on one run folder, whose earlier stages are done."""
     run = "runs/sphere.vorolight"
     command = [sys.executable, "-m", "vorolight.cli"]
     common = ["--run", run, "--threads", "1", "--quiet"]

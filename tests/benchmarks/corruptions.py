@@ -1,8 +1,8 @@
 """Damaged files of a run, and the commands that read them.
 
-A damage must be refused in one sentence that names the file, with exit code 4 (3 for an input, 75
-for a lock) and no file changed; or, where it does no harm, the result must be that of whole files.
-Exits with 1 at a traceback, a hang, a silent wrong result, or anything else.
+A damaged file must be refused in one sentence that names it, with exit code 4 (3 for an input, 75
+for a lock) and no file changed. If the damage does no harm, the result must be that of intact
+files. Exits with 1 after a traceback, a hang, a silent wrong result, or anything else.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ from cases import (
 from trials import Outcome, Server
 
 SECONDS, MEMORY_MB = 10.0, 2000.0
-"""What a command may take: beyond what it takes with whole files, and in all."""
+"""The seconds that a command may take beyond those with intact files, and its
+largest memory in MB."""
 FINISHED = (CLASSIFY, INIT, POLYGONS, VOLUME, EVALUATE, LAMP, ("report",))
 OTHER = (
     (*CLASSIFY[:-1], "7"), INIT, (*POLYGONS, "--weight-smooth", "9"),
@@ -51,7 +52,7 @@ OTHER = (
 OWN = dict(zip(("classify", "init", "sphere-train", "volume", "evaluate-sphere-train",
                 "fabricate"), FINISHED, strict=False))  # fmt: skip
 PAGES = ("report", "compare")
-"""What draws, for seconds: tried less often than its place in the lists gives."""
+"""Commands that draw for seconds. They are tried less often than their place in the lists says."""
 EXPORT = ("export", "cells.vtu")
 READERS: dict[str, list[Command]] = {
     "classify": [INIT],
@@ -61,15 +62,15 @@ READERS: dict[str, list[Command]] = {
     "evaluate-sphere-train": [("report",)],
     "fabricate": [("report",)],
 }
-"""What reads the files of a stage."""
+"""The commands that read the files of each stage."""
 FINE = {"refused", "same result", "said stale", "up to date", "accepted", "nothing to damage"}
-"""How a command may end."""
+"""The ends that are allowed."""
 CHECKPOINTS, LOCK = "checkpoint", "lock"
 
 
 @dataclass
 class Bench:
-    """Whole runs, and what commands make of them."""
+    """Intact runs, and the results of commands on them."""
 
     runs: Runs
     results: dict[Command, dict[str, Any]] = field(default_factory=dict)
@@ -97,12 +98,12 @@ class Bench:
         return self.results[words]
 
     def limit(self, words: Command) -> float:
-        """Seconds that a command may take, its stage being run anew."""
+        """The number of seconds that a command may take, which includes running its stage again."""
         known = self.runs.seconds.items()
         return SECONDS + 3 * max(took for past, took in known if past[-1][0] == words[0])
 
     def begun(self) -> Path:
-        """A folder whose training was killed when it had written checkpoints."""
+        """A folder whose training was killed after it had written checkpoints."""
         if self.interrupted is None:
             self.interrupted = self.runs.copy("interrupted", CLASSIFY, INIT)
             site = "write sphere.vorolight/checkpoints/sphere-train/#/.#.h5.tmp.#"
@@ -113,7 +114,7 @@ class Bench:
 
 
 def result(place: Path) -> dict[str, Any]:
-    """All that a command may leave, pages included."""
+    """All files that a command may leave, with reports."""
     pages = {
         path.relative_to(place).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in place.rglob("*.html")
@@ -122,8 +123,11 @@ def result(place: Path) -> dict[str, Any]:
 
 
 def raw(place: Path) -> dict[str, str]:
-    """Every file by digest; of what is no file, what it is. What a stage may leave when it does not
-    finish is left out: logs and checkpoints. So is the lock, which one of a dead process may be."""
+    """The digest of every file, and the type of everything that is not a file.
+
+    Logs, checkpoints and the lock are left out, because a stage that does not finish may leave
+    them.
+    """
     found = {}
     for path in sorted(place.parent.rglob("*")):
         name = path.relative_to(place.parent).as_posix()
@@ -139,7 +143,7 @@ def raw(place: Path) -> dict[str, str]:
 
 
 def crashed(done: Outcome, limit: float) -> str:
-    """What no command may do, whatever it is given."""
+    """The fault of a command that no input excuses; empty if there is none."""
     if done.hung:
         return f"hang: more than {limit:.0f} s"
     if done.code < 0 or done.code in (1, 99) or "Traceback" in done.stderr:
@@ -153,21 +157,21 @@ def judged(
     done: Outcome, limit: float, words: Command, path: Path, place: Path,
     before: dict[str, str], expected: Callable[[], dict[str, Any]], lenient: bool,
 ) -> str:  # fmt: skip
-    """How a command with a damaged file ended; with a colon if it is not as it should be."""
+    """How a command with a damaged file ended. The text has a colon if that was wrong."""
     wrong = crashed(done, limit)
     if wrong:
         return wrong
     after = raw(place)
     changed = [name for name in before.keys() | after.keys() if before.get(name) != after.get(name)]
     if done.code != 0:
-        # What is no file counts as none, and where it is in the way nothing can be written.
+        # A folder or device in place of a file counts as missing, but it may prevent writing.
         obstacle = done.code == 2 and not path.is_file()
         if done.code not in (3, 4, 75) and not obstacle and not (lenient and done.code in (2, 6)):
             return f"exit {done.code}: {done.stderr[-400:].strip()}"
         if not done.clean:
             return f"not one sentence: {done.stderr}"
         stem = path.name.split(".")[0]
-        # A page is made of many manifests: of one with forged figures it names the folder.
+        # A report reads many manifests. For one with forged figures it names only the folder.
         forged = "a figure is missing, or has another form than this version writes" in done.stderr
         named = path.name in done.stderr or (stem and stem in done.stderr) or forged
         if not obstacle and not named:
@@ -201,7 +205,7 @@ def judged(
 
 
 def trial(bench: Bench, dice: random.Random) -> tuple[str, str, str]:
-    """One random damage: the kind of the file, the damage, and how it ended."""
+    """One random damage: the kind of the file, the damage, and how the command ended."""
     kind = dice.choices((CHECKPOINTS, LOCK, ""), (1, 1, 12))[0]
     if kind == CHECKPOINTS:
         place = bench.runs.folder / "trial" / "work"
@@ -247,7 +251,8 @@ def trial(bench: Bench, dice: random.Random) -> tuple[str, str, str]:
 
 
 def _means_the_same(path: Path, content: bytes) -> bool:
-    """Whether a file holds what it held, but for a manifest's volatile block and its spaces."""
+    """Whether a file has the same meaning as before: a manifest's volatile block
+    and blanks may differ."""
     now = path.read_bytes()
     if now == content or path.suffix != ".json":
         return now == content

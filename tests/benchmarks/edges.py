@@ -1,5 +1,7 @@
-"""Before and after: even edges that follow no crease, edges along creases, and as many of varied
-lengths, drawn side by side and, at last, coloured by the lengths: ``make pictures-edges``.
+"""Pictures of edges: even ones that follow no crease, ones along creases, and varied lengths.
+
+Run with ``make pictures-edges``. The third has as many triangles as the second. The fourth picture
+shows the third coloured by edge length.
 """
 
 from __future__ import annotations
@@ -18,12 +20,12 @@ from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.render import image_file, raster
 
 SHORT, LONG = np.array([0.80, 0.20, 0.16]), np.array([0.20, 0.42, 0.78])
-"""Colours of the shortest and the longest edges; what is between goes by way of white."""
+"""Colours of the shortest and of the longest edges. The scale between them passes through white."""
 COLUMNS = ["even, --sharp off", "default", "as many, --faces-target", "edge lengths of the third"]
 
 
 def lengths(run: Path, size: int) -> np.ndarray:
-    """The trained triangles, coloured by their lengths on a logarithmic scale."""
+    """The trained triangles, coloured by their edge lengths on a logarithmic scale."""
     folder = RunFolder(run)
     arrays = folder.arrays("sphere-train", "sphere-train")
     vertices, triangles, faces = fan_triangles(PolygonMesh.from_arrays(arrays, "trained/"))

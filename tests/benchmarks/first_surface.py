@@ -1,7 +1,7 @@
-"""How many evaluations of the loss the first surface needs: Adam at several steps, and L-BFGS.
+"""The number of loss evaluations for the first surface, with Adam at several rates and with L-BFGS.
 
 Run with ``make bench-init INPUT=bunny.obj``. All start from the same mirrored generators, with the
-weights of stage init, and see the diagram anew in every evaluation.
+weights of the init stage, and compute the diagram in every evaluation.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def study(shape: str, n: int) -> dict[str, Any]:
         begin = time.perf_counter()
         method(evaluate, start)
         values = np.array(seen)
-        # A line search also asks for what it does not take: the best so far counts.
+        # A line search also evaluates points that it does not take, so that the best one counts.
         best = np.array([np.argmin(values[: count + 1, 0]) for count in range(len(values))])
         found[name] = {
             "seconds_an_evaluation": round((time.perf_counter() - begin) / len(values), 3),

@@ -1,7 +1,8 @@
-"""The table of shapes as found: meshes with holes, doubled and turned faces, and point clouds.
+"""The table of shapes as found: point clouds, and meshes with holes or with double or turned faces.
 
-Run with ``make table-found MESHES="a.obj b.obj"``. Each file is run as it is; what of the input can
-be seen from outside is compared with the surface, and the surface with the input, in voxels.
+Run with ``make table-found MESHES="a.obj b.obj"``. Each file is run unchanged. The part of the
+input that is visible from outside is compared with the surface, and the surface with the input, in
+voxels.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ SAMPLES, WITHIN, RAYS, ASIDE = 20_000, 1.5, 200, 1e-3
 
 
 def visible(source: MeshSource, random: np.random.Generator) -> np.ndarray:
-    """Samples of the mesh from which some ray gets away, on either side."""
+    """Samples of the mesh from which some ray leaves it unhindered, on either side."""
     vertices, triangles = np.ascontiguousarray(source.vertices), source.triangles
     points, face = sample_triangles(vertices, triangles, SAMPLES, random)
     normals = triangle_normals(vertices, triangles)[0][face]

@@ -1,12 +1,12 @@
-"""The table of views as they are found: a shape is drawn, its pictures are spoiled as generators
-and people spoil them, and the surface that classify makes of them is compared with that of the
-pictures as they were.
+"""The table of views as found: pictures of a shape are altered, as generators and people alter
+them.
 
-Run with ``make table-found-views``. Distances are the 99th percentile both ways, of the longest
-side, after the surfaces are laid over each other by a scale and a shift, which views that are
-framed by themselves do not tell.
-A row is right below LIMIT, said where a warning tells of masks that do not fit, refused where there
-is a sentence and exit code 3, and otherwise silently wrong, which makes the command fail.
+Run with ``make table-found-views``. The surface that classify makes of the altered pictures is
+compared with that of the original ones. Distances are the 99th percentile in both directions,
+divided by the longest side. First one surface is scaled and shifted to the other, because views
+that are framed one by one do not determine that. A row is right if the distance is below LIMIT, and
+said if a warning says that masks do not fit. It is refused if there is a sentence and exit code 3.
+Otherwise it is silently wrong, and the command fails.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ Pictures = list[np.ndarray]
 
 
 def draw(mesh: Path, size: int, seed: int | None = None, own: bool = False) -> Pictures:
-    """Six views with alpha, of one frame, of frames at random, or each of its ``own``."""
+    """Six views with alpha: framed alike, framed at random, or each framed
+    by its ``own`` extent."""
     loaded = coloured.load(mesh)
     used = np.unique(loaded.triangles)
     middle = 0.5 * (loaded.vertices[used].min(axis=0) + loaded.vertices[used].max(axis=0))
@@ -83,7 +84,8 @@ def cropped(picture: np.ndarray, room: int = 0) -> np.ndarray:
 
 
 def redrawn(picture: np.ndarray, random: np.random.Generator, amount: float) -> np.ndarray:
-    """With parts moved by up to ``amount`` of the width, as a generator draws them again."""
+    """The picture with parts moved by up to ``amount`` of its width, as if a
+    generator had drawn it again."""
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     height, width = picture.shape[:2]
@@ -107,7 +109,7 @@ def masks(folder: Path, pictures: Pictures, change: Callable[[np.ndarray], np.nd
 
 
 def cases(mesh: Path, folder: Path) -> dict[str, tuple[Path, list[str]]]:
-    """Name -> a folder of six pictures, and the options that are said."""
+    """For each name a folder of six pictures, and the options to run it with."""
     numbers = [f"image{k}" for k in range(6)]
     made: dict[str, tuple[Path, list[str]]] = {}
 
@@ -162,7 +164,7 @@ def distance(
 ) -> float:
     vertices, size = found[0], np.ptp(expected[0], axis=0).max()
     closest = ClosestPoint(*expected, 0.0, 1)
-    # The same size and middle to begin with, then the scale and shift of the closest points.
+    # The start has the same size and centre; closest points then give scale and shift.
     vertices = vertices * (size / np.ptp(vertices, axis=0).max())
     vertices = vertices + expected[0].mean(axis=0) - vertices.mean(axis=0)
     for _ in range(30):

@@ -1,8 +1,8 @@
-"""Diagram and interface faces by each backend, against scipy.spatial.Voronoi and against Voro++.
+"""Time of diagram and interface faces by each backend, by scipy.spatial.Voronoi and by Voro++.
 
-Run with ``make bench``. All run in turn in this process, rounds interleaved; the ratios are what
-counts. Voro++ (pyvoro2 on one thread, multivoro on two), the engine family of the paper, finds
-every cell with its faces; as with scipy.spatial.Voronoi those between the labels are then picked.
+Run with ``make bench``. All run in this process in interleaved rounds, so that ratios are
+comparable. Voro++ (pyvoro2 on one thread, multivoro on two) is the engine of the paper. It and
+scipy.spatial.Voronoi find all faces, from which those between the labels are then selected.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from vorolight.stages.voronoi.diagram.interface import interface
 
 
 def pairs_on_a_sphere(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """``count`` generators in pairs on either side of a bumpy sphere, as training leaves them."""
+    """``count`` generators in pairs on both sides of a bumpy sphere, similar to trained ones."""
     random = np.random.default_rng(0)
     direction = random.normal(size=(count // 2, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=[5_000, 20_000, 100_000])
     parser.add_argument("--rounds", type=int, default=3)
     arguments = parser.parse_args()
-    by_backend("shull")(*pairs_on_a_sphere(100))  # the child process starts
+    by_backend("shull")(*pairs_on_a_sphere(100))  # starts the child process
     rows = []
     for count in arguments.counts:
         shape = pairs_on_a_sphere(count)
@@ -101,7 +101,7 @@ def main() -> None:
                 start = time.perf_counter()
                 faces[name] = engine(*shape)
                 seconds[name].append(time.perf_counter() - start)
-        # Voro++ drops faces below a tolerance.
+        # Voro++ drops faces below a tolerance, so that it is not compared.
         if len({faces[name] for name in list(ENGINES)[:3]}) != 1:
             raise SystemExit(f"{count}: the engines disagree on the number of faces: {faces}")
         row: dict[str, Any] = {"generators": count, "faces": faces["scipy"], "seconds": {}}

@@ -1,6 +1,6 @@
-"""Kills at random times, over the whole of each stage of small runs; then the same command again.
+"""Kills at random times over the whole of each stage of small runs, followed by the same command.
 
-Every finish must have the bytes of an undisturbed run. Exits with 1 if one had not.
+Every run must end with the bytes of an undisturbed one. Exits with 1 if one did not.
 """
 
 from __future__ import annotations
@@ -20,24 +20,26 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from cases import CASES, Runs, differences, kept, run, run_folder
 from trials import Server
 
-# Numbers as a shell tells them; SIGUSR1 asks for a stop at the next checkpoint.
+# Exit codes as a shell reports them. SIGUSR1 requests a stop at the next checkpoint.
 SIGNALS = {signal.SIGKILL: -9, signal.SIGTERM: 143, signal.SIGINT: 130, signal.SIGUSR1: 85}
 STEMS = {"evaluate": "evaluate-sphere-train"}
 EARLIEST = 0.03
-"""Seconds that a process has to install its handlers."""
+"""Number of seconds in which a process installs its handlers."""
 HIT = re.compile(r"SIG\w+ -?[1-9]").match
-"""Tells the ends of processes that a signal reached in time; of others the exit code is 0."""
+"""Matches the ends of processes that a signal reached in time. Others end with exit code 0."""
 IN_A_ROW = (1, 1, 1, 2, 3, 5)
-"""How often one run is killed before it may finish: one of these."""
+"""Numbers of times that a run is killed before it may finish. One of them is drawn."""
 
 
 BEFORE = 100_000
-"""Polygons' checkpoints are numbered from here, those of the triangles before them from 0."""
+"""Checkpoints of polygons are numbered from here on, those of the triangles before them from 0."""
 
 
 def repeated(place: Path, stem: str) -> list[int]:
-    """Iterations that were made twice, a number each time that a stage went on from a checkpoint;
-    to a tenth of all, as the log tells progress."""
+    """Numbers of iterations that were computed twice, one for each time that a stage continued.
+
+    They are accurate to a tenth of all iterations, as the log is.
+    """
     path = run_folder(place) / "logs" / f"{stem}.jsonl"
     found, reached = [], {}
     for line in path.read_text().splitlines():
@@ -55,7 +57,8 @@ def repeated(place: Path, stem: str) -> list[int]:
 
 
 def kill(runs: Runs, name: str, dice: random.Random) -> tuple[Counter[str], list[int], str]:
-    """One run, killed and finished: what happened by name, lost iterations, what was wrong."""
+    """One run, killed and finished: counts of what happened, lost
+    iterations, and what was wrong."""
     case = CASES[name]
     commands = (*case.before, case.words)
     expected = kept(runs.after(*commands))

@@ -1,7 +1,7 @@
-"""The table of lamps: what was built, how long it took, and what the slicer makes of it.
+"""The table of lamps: their parts, the time they took, and the results of the slicer.
 
-Run with ``make table-lamps RUNS="heart.vorolight bunny.vorolight"`` on runs that were made with
-``vorolight run SHAPE --lamp --slice`` (``make -C examples`` makes some).
+Run with ``make table-lamps RUNS="heart.vorolight bunny.vorolight"`` on runs made with
+``vorolight run SHAPE --lamp --slice``; ``make -C examples`` makes some.
 """
 
 from __future__ import annotations

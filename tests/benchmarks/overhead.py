@@ -1,9 +1,9 @@
-"""What surviving anything costs: the time that a run spends on checkpoints, manifests, checksums,
-logs and locks, stage by stage, as a share of the stage's time.
+"""The cost of safety: the share of a run's time for checkpoints, manifests, checksums, logs and
+locks.
 
-Run with ``make bench-overhead INPUT=bunny.obj N=25``. Everything that writes, reads or hashes the
-files of the run folder is timed inside a run of all stages; what would be written without any of
-this, the stage's own data files, is told apart.
+Run with ``make bench-overhead INPUT=bunny.obj N=25``. Every function that writes, reads or hashes
+files of the run folder is timed in a run of all stages. The data files of a stage, which would be
+written in any case, are listed separately.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _inside = False
 
 
 def timed(owner: Any, name: str, what: str) -> None:
-    """Add the time of ``owner.name`` to ``SPENT[what]``, unless one that is timed called it."""
+    """Add the time of ``owner.name`` to ``SPENT[what]``, unless another
+    timed function called it."""
     plain: Callable[..., Any] = getattr(owner, name)
 
     @functools.wraps(plain)

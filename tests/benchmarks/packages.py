@@ -1,5 +1,7 @@
-"""The built wheel in clean environments of several Pythons: does it install with the pinned
-versions, find nothing wrong, run, and compute the same? `make packages`."""
+"""The built wheel in new environments of several versions of Python: ``make packages``.
+
+It must install with the pinned versions, pass ``doctor``, run, and give the same results.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ SECONDS = 1800
 
 
 def timed(*words: object, cwd: Path, code: int = 0) -> tuple[str, float]:
-    """What a command prints, and the seconds it takes; ends the program when it fails."""
+    """The output of a command, and its seconds. Ends the program if the command fails."""
     began = time.perf_counter()
     done = subprocess.run(
         list(map(str, words)), cwd=cwd, capture_output=True, text=True, timeout=SECONDS
@@ -31,7 +33,7 @@ def timed(*words: object, cwd: Path, code: int = 0) -> tuple[str, float]:
 
 
 def tried(python: str, wheel: Path, constraints: Path) -> dict[str, Any]:
-    """What becomes of the wheel in a new environment of ``python``, which is then removed."""
+    """The results of the wheel in a new environment of ``python``, which is removed afterwards."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         version = timed(python, "-c", "import platform; print(platform.python_version())",

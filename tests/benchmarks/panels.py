@@ -1,4 +1,4 @@
-"""Pictures of runs as panels of equal size, and panels put together with captions."""
+"""Pictures of runs as panels of equal size, and grids of panels with captions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ from vorolight.stages.render import image_file, raster
 from vorolight.stages.report import pictures, preview
 
 CAPTION = 22
-"""Height of a line of words in pixels."""
+"""Height of a line of text, in pixels."""
 
 
 def surface(
     run: Path, stage: str, size: int, prefix: str = "surface/", shape: Path | None = None
 ) -> np.ndarray:
-    """The surface of a stage with its edges ``(size, size, 3)``, upright like ``shape``, by default
-    like the input."""
+    """The surface of a stage with its edges, ``(size, size, 3)``.
+
+    It is upright like ``shape``, by default like the input.
+    """
     folder = RunFolder(run)
     vertices, triangles, faces = fan_triangles(
         PolygonMesh.from_arrays(folder.arrays(stage, stage), prefix)
@@ -35,7 +37,7 @@ def surface(
 
 
 def view(folder: RunFolder, shape: Path | None) -> raster.View:
-    """As the report looks at it."""
+    """The view that the report uses."""
     stored = folder.manifest("classify")
     assert stored is not None
     up = up_axis(stored["inputs"][0]["path"] if shape is None else str(shape))
@@ -59,14 +61,14 @@ def field_slice(run: Path, size: int) -> np.ndarray:
 
 
 def empty(size: int) -> np.ndarray:
-    """What stands for a run that failed."""
+    """An empty panel for a run that failed."""
     return np.full((size, size, 3), 0.93)
 
 
 def grid(
     rows: Sequence[Sequence[np.ndarray]], columns: Sequence[str], labels: Sequence[str]
 ) -> np.ndarray:
-    """Panels in rows, ``columns`` above them and ``labels`` over each row."""
+    """Panels in rows, with ``columns`` above them and ``labels`` over each row."""
     size = rows[0][0].shape[1]
     width = size * max(len(row) for row in rows)
     parts = [words(list(columns), size, width)] if columns else []

@@ -1,4 +1,4 @@
-"""Figures that the paper gives, by table (VoroLight; CD^2 is times 1e3)."""
+"""The figures in the paper, by table. CD^2 is multiplied by 1e3."""
 
 from __future__ import annotations
 
@@ -23,6 +23,6 @@ VIEWS = {
     6: ((1.981, 2.312, 1.199), (0.487, 0.168, 0.555)),
 }
 NOISE = (0.0, 0.1, 0.5, 1.0, 2.0)
-"""Standard deviations in percent of the diagonal."""
+"""Standard deviations of the noise, in percent of the diagonal."""
 RESOLUTIONS = (15, 25, 40, 60)
 INNER = (200, 800, 3200)

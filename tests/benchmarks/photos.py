@@ -1,7 +1,7 @@
-"""The table of views as found: how well masks and pictures are met, with nothing to compare with.
+"""The table of photographs, for which there is no reference: how well masks and pictures are met.
 
-Run with ``make table-photos VIEWS="folder ..."``; of a textured mesh ``vorolight views`` makes such
-a folder. PSNR is over the foreground of views that were held out.
+Run with ``make table-photos VIEWS="folder ..."``. ``vorolight views`` makes such a folder from a
+textured mesh. PSNR is over the foreground of views that were held out.
 """
 
 from __future__ import annotations

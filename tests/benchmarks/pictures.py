@@ -1,4 +1,4 @@
-"""Initial surface, the paper's training, triangles and polygons of shapes, side by side.
+"""Pictures of shapes side by side: the first surface, the paper's training, triangles, polygons.
 
 Run with ``make side-by-side MESHES="bunny.obj heart" OUTPUT=folder``.
 """
@@ -45,7 +45,7 @@ def main() -> None:
             cli("init", shape, "-n", given.n, "--run", run)
             for options in WAYS.values():
                 cli("sphere-train", *options, "--run", run)
-                # Three panels: the initial surface, what was trained, and what was written.
+                # Three panels: the first surface, the trained one, and the written one.
                 drawn = pictures.surfaces(RunFolder(run))
                 assert drawn is not None
                 first, _, written = np.array_split(drawn, 3, axis=1)

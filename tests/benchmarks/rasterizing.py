@@ -1,7 +1,7 @@
-"""A step of the image losses, silhouettes and normals with their derivatives, against Mitsuba 3.
+"""Time of one step of the image losses with their derivatives, beside Mitsuba 3.
 
-Run with ``make bench-images``. Mitsuba renders depth of the same views, one ray a pixel: visibility
-alone, without any derivative.
+Run with ``make bench-images``. Mitsuba renders the depth of the same views with one ray for each
+pixel. That is visibility alone, without derivatives.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main() -> None:
     print(f"losses and derivatives {own:.3f} s")
     import mitsuba
 
-    mitsuba.set_variant("scalar_rgb")  # the others need an LLVM of their own
+    mitsuba.set_variant("scalar_rgb")  # other variants need an installation of LLVM
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mesh.ply"
         mesh.export(path)

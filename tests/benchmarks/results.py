@@ -1,4 +1,4 @@
-"""Where the benchmarks leave what they measured, with the machine described."""
+"""Writes the results of benchmarks, with a description of the machine."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def write(name: str, rows: Any) -> None:
 
 
 def processor() -> str:
-    """The processor's name where the system tells it."""
+    """The name of the processor, if the system reports it."""
     place = Path("/proc/cpuinfo")
     lines = place.read_text().splitlines() if place.is_file() else []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

@@ -1,4 +1,4 @@
-"""Runs that the tables are read from, and figures as Markdown."""
+"""Runs from which the tables are read, and figures as Markdown."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOT_RUN = "not run"
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is run."""
+    """Where and on which meshes the tables are made."""
 
     work: Path
     pictures: Path
@@ -41,11 +41,11 @@ class Settings:
     view_shapes: int = 3
     panel: int = 300
     flags: tuple[str, ...] = ()
-    """Of every sphere-train."""
+    """Options of every sphere-train."""
 
 
 def quick(given: Settings) -> Settings:
-    """A few small runs, on the first of the meshes."""
+    """The same settings for a few small runs on the first of the meshes."""
     return replace(
         given,
         meshes=given.meshes[:2],
@@ -70,11 +70,11 @@ def quick(given: Settings) -> Settings:
 
 
 class Failed(RuntimeError):
-    """A run that did not come to its end; what it said."""
+    """A run that failed, with its message."""
 
 
 def cli(*words: object) -> None:
-    """The tool. Raises Failed."""
+    """Run the tool. Raises Failed."""
     command = [sys.executable, "-m", "vorolight.cli", *map(str, words), "--quiet"]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -83,7 +83,7 @@ def cli(*words: object) -> None:
 
 
 def attempt(what: str, action: Callable[[], Any]) -> Any:
-    """The result of ``action``, or the sentence of what it failed with."""
+    """The result of ``action``, or the message with which it failed."""
     print(what, flush=True)
     try:
         return action()
@@ -101,7 +101,7 @@ def cpu_seconds(run: Path, stem: str) -> float:
 
 
 def evaluated(given: Settings, run: Path, of: str, reference: Path | None = None) -> dict[str, Any]:
-    """The evaluation of a stage."""
+    """The metrics of the evaluation of a stage."""
     words: list[object] = ["--samples", given.samples] if given.samples else []
     words += ["--reference", reference] if reference else []
     cli("evaluate", "--of", of, *words, "--run", run)
@@ -116,7 +116,7 @@ def started(given: Settings, source: object, name: str, n: int) -> Path:
 
 
 def branch(given: Settings, run: Path, name: str, source: object, n: int) -> Path:
-    """A run folder that goes on from the first two stages of ``run``."""
+    """A run folder that continues from the first two stages of ``run``."""
     other = given.work / f"{name}.vorolight"
     if not other.exists():
         staging = other.with_suffix(".copying")
@@ -130,7 +130,7 @@ def branch(given: Settings, run: Path, name: str, source: object, n: int) -> Pat
 
 
 def trained(given: Settings, source: object, name: str, n: int, way: str, *words: object) -> Path:
-    """A run folder of its own for each way of training, from the same first surface."""
+    """A run folder for each way of training, all from the same first surface."""
     first = started(given, source, f"{name}-{n}", n)
     run = branch(given, first, f"{name}-{n}-{way}", source, n)
     cli("sphere-train", *words, *given.flags, "--run", run)
@@ -142,7 +142,7 @@ POLYGON = ("--faces", "polygon")
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """As Markdown."""
+    """A table as Markdown."""
     head = list(head)
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)

@@ -1,7 +1,8 @@
-"""The table of units and frames: one mesh as it is, scaled, far from the origin, and rotated.
+"""The table of units and frames: one mesh unchanged, scaled, far from the origin, and rotated.
 
-Run with ``make table-scales INPUT=bunny.obj``. Figures are relative to the bounding box of the mesh
-as it is, so that they should be the same in every row; a power of two must not change a bit.
+Run with ``make table-scales INPUT=bunny.obj``. Figures are divided by the bounding box of the
+unchanged mesh, so that they should be the same in every row. Scaling by a power of two must not
+change a bit.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def row(mesh: PolygonMesh, n: int, scale: float, shift: float, turn: np.ndarray)
         path, run = Path(folder) / "mesh.ply", Path(folder) / "run"
         path.write_bytes(ply.encode(mesh.with_vertices(shift + scale * (mesh.vertices @ turn.T))))
         cli("run", path, "-n", n, "--until", "sphere-train", "--run", run)
-        # The box of a turned mesh is another one.
+        # A rotated mesh has another bounding box.
         size = float(np.linalg.norm(np.ptp(load(path).polygons.vertices, axis=0)))
         unit = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) * scale
         cli("evaluate", "--run", run, "--threshold", 0.01 * unit / size)

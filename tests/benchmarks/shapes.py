@@ -1,4 +1,4 @@
-"""Meshes to measure on: samples of installed packages, and generated ones."""
+"""Meshes for the benchmarks: samples of installed packages, and generated ones."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from vorolight.stages.mesh.polygons import PolygonMesh
 Surface = tuple[np.ndarray, np.ndarray]
 SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb")
 ACROSS = 96
-"""Cells of the grid along a field's longest side."""
+"""Number of grid cells along the longest side of a field."""
 
 
 def of_field(name: str) -> Surface:
-    """The zero set of a built-in field by marching cubes, its vertices moved onto it."""
+    """The zero set of a built-in field by marching cubes, with its vertices moved onto it."""
     import igl
 
     source = FieldSource(name)
@@ -28,7 +28,7 @@ def of_field(name: str) -> Surface:
     edge = float((high - low).max()) / ACROSS
     counts = np.ceil((high - low) / edge).astype(int) + 3
     axes = [low[k] - edge + edge * np.arange(counts[k]) for k in range(3)]
-    # igl's index runs fastest along x.
+    # The index of igl's grids runs fastest along x.
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     vertices, triangles = igl.marching_cubes(source.value(points), points, *map(int, counts))[:2]
@@ -40,7 +40,7 @@ def of_field(name: str) -> Surface:
 
 
 def knot() -> Surface:
-    """A tube of radius 0.32 about a trefoil knot."""
+    """A tube of radius 0.32 around a trefoil knot."""
     around, along = 24, 240
     t = np.linspace(0, 2 * np.pi, along, endpoint=False)
     axis = np.stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)])
@@ -57,11 +57,11 @@ def spring() -> Surface:
 
 
 def tube(axis: np.ndarray, radius: float, around: int) -> Surface:
-    """Quads split in two about the closed polyline ``axis (N, 3)``."""
+    """Triangles of a tube around the closed polyline ``axis (N, 3)``."""
     along = len(axis)
     tangent = np.roll(axis, -1, axis=0) - np.roll(axis, 1, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    # A vector carried along the axis, its turn after one round spread over all of it.
+    # A vector is carried along the axis. Its rotation after one round is spread over all of it.
     normal = np.zeros_like(axis)
     carried = np.cross(tangent[0], [0.0, 0.0, 1.0])
     for k in [*range(along), 0]:
@@ -92,7 +92,7 @@ def bumpy() -> Surface:
 
 
 def oriented(vertices: np.ndarray, triangles: np.ndarray) -> Surface:
-    """With its normals outward."""
+    """The surface with its normals outward."""
     triangles = np.asarray(triangles, np.int64)
     volume = np.linalg.det(vertices[triangles] - vertices.mean(axis=0)).sum()
     return vertices, triangles if volume > 0 else triangles[:, ::-1]
@@ -111,7 +111,8 @@ SAMPLED = ("bunny", "cow", "airplane")
 
 
 def default(folder: Path, names: list[str] | None = None) -> list[Path]:
-    """The samples, and the generated shapes as files in ``folder``; those of ``names`` only."""
+    """The sample meshes and the generated shapes as files in ``folder``, or
+    only those of ``names``."""
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for name in names or [*SAMPLED, *GENERATED]:

@@ -1,8 +1,8 @@
-"""The linear systems of the Gauss-Newton steps, by conjugate gradients and by factorisation.
+"""The linear systems of Gauss-Newton steps, solved by conjugate gradients and by factorisation.
 
-Run with ``make bench-solvers INPUT=bunny.obj``. The systems are those of a triangle training and of
-a polygon training, half way through each. Quality is the decrease that a step promises, over that
-of the exact step.
+Run with ``make bench-solvers INPUT=bunny.obj``. The systems are from the middle of a training of
+triangles and of a training of polygons. Quality is the decrease that a step promises, divided by
+that of the exact step.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from vorolight.stages.solvers.least_squares import ITERATIONS, TOLERANCE, GaussN
 from vorolight.stages.training import conforming, polygons
 
 SEEN = {"triangle": 12, "polygon": 10}
-"""The step whose system is taken."""
+"""The number of the step from which the system is taken."""
 
 
 class Captured(Exception):
-    """The system that was waited for is there."""
+    """Raised when the system has been captured."""
 
 
 def system(shape: str, n: int, faces: str) -> tuple[GaussNewton, float]:
@@ -112,7 +112,7 @@ def study(shape: str, n: int, faces: str) -> dict[str, Any]:
         "Cholesky (cholespy)": by_cholesky,
         "LU (scipy, SuperLU)": by_splu,
     }
-    problem.step(damping)  # threads start, the system is assembled
+    problem.step(damping)  # starts threads and assembles the system
     steps, seconds = {}, {}
     for name, method in methods.items():
         begin = time.perf_counter()

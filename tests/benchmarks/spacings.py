@@ -1,7 +1,7 @@
 """Varied edge lengths beside even ones, with the same number of triangles: ``make table-spacing``.
 
-Both start from the same first surface; even edges are those of ``--spacing-min`` and
-``--spacing-max`` of one value, found for the number of triangles that the varied ones came to.
+Both start from the same first surface. Even edges have one value of ``--spacing-min`` and
+``--spacing-max``, which is sought so that the number of triangles is that of the varied ones.
 """
 
 from __future__ import annotations

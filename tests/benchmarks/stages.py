@@ -1,8 +1,8 @@
-"""Time and peak memory of each stage as the resolution grows, and the exponents of that growth.
+"""Time and peak memory of each stage at growing resolutions, and the exponents of the growth.
 
-Run with ``make bench-stages INPUT=bunny.obj RESOLUTIONS="25 50 100"``. Each stage is a process of
-its own. What it needs on a ball of a few voxels is start-up and imports: that is taken off before
-exponents are fitted to the number of trained faces.
+Run with ``make bench-stages INPUT=bunny.obj RESOLUTIONS="25 50 100"``. Each stage is a process. Its
+time and memory for a sphere of a few voxels are those of start-up and imports. They are subtracted
+before exponents are fitted to the number of trained faces.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def measured(shape: str, n: int, faces: str, backend: str) -> dict[str, Any]:
 
 
 def exponents(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Slopes of log time and log memory, less those of the smallest row, over log faces."""
+    """Slopes of log time and log memory over log faces, with the smallest row subtracted."""
     base, rest = rows[0], rows[1:]
     faces = np.log([row["faces"] for row in rest])
     found: dict[str, dict[str, float]] = {}

@@ -24,7 +24,7 @@ from runs import (
 
 
 def noise(given: Settings) -> str:
-    """Noisy point clouds against weights of the losses, beside VoroMesh."""
+    """The study of noisy point clouds and weights of the losses, beside VoroMesh."""
     texts = []
     for path in given.meshes[: given.noise_shapes]:
         rows, pictured = [], {}
@@ -79,7 +79,7 @@ def noise(given: Settings) -> str:
 
 
 def _cloud(given: Settings, path: Path, sigma: float) -> Path:
-    """Points of a mesh with noise, as a file."""
+    """A file of points of a mesh, with noise."""
     from vorolight.stages.inputs.mesh.source import MeshSource
 
     target = given.work / "clouds" / f"{path.stem}-noise{sigma:g}.npy"
@@ -114,7 +114,7 @@ def _panel(found: Any, size: int, shape: Path) -> np.ndarray:
 
 
 def resolutions(given: Settings) -> str:
-    """The initial resolution, triangles."""
+    """The study of the first resolution, with triangles."""
     rows, pictured = [], []
     chosen = given.meshes[: given.noise_shapes]
     for path in chosen:
@@ -151,7 +151,7 @@ def resolutions(given: Settings) -> str:
 
 
 def inner(given: Settings) -> str:
-    """The number of inner cells."""
+    """The study of the number of inner cells."""
     path = given.meshes[0]
     rows, pictured = [], []
     for count in given.inner:
@@ -189,7 +189,7 @@ def inner(given: Settings) -> str:
 
 
 def pipeline(given: Settings) -> str:
-    """A slice of the input, the first surface, the trained one and the cells."""
+    """A slice of the input, the first surface, the trained surface, and the cells."""
     lines, labels = [], []
     for source in ("heart", "cube-cavity", given.meshes[0]):
         label = Path(source).stem

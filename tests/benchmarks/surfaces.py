@@ -1,9 +1,9 @@
-"""The table of surfaces: certificate, topology, distances and smoothness, shape by shape.
+"""The table of surfaces: certificate, topology, distances and smoothness of each shape.
 
-Run with ``make table MESHES=folder PEER=file.json``. Meshes are expected with their longest side 1;
-PEER holds what another method reaches on them under ``runs.NAME``: ``surface_polygons``,
-``surface_cd2_x1e3``, ``normal_consistency``, ``dihedral_H``, ``dihedral_H_truth``. Faces are at
-most as many as the peer's.
+Run with ``make table MESHES=folder PEER=file.json``. The longest side of each mesh must be 1. PEER
+has the results of another method under ``runs.NAME``: ``surface_polygons``, ``surface_cd2_x1e3``,
+``normal_consistency``, ``dihedral_H``, ``dihedral_H_truth``. There are at most as many faces as the
+other method has.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 TRIES, BELOW = 4, 0.98
-"""How often a shape is trained until it has no more faces than its peer, and which share of those
-is asked for."""
+"""Largest number of trainings until a shape has no more faces than the other method, and the share
+of those that is asked for."""
 MERGED = 0.55
-"""Faces that polygons are expected to have, over the triangles that they are merged of."""
+"""Expected number of faces with polygons, divided by the number of triangles that are merged."""
 
 
 def cli(*words: object) -> None:

@@ -1,9 +1,9 @@
 """The paper's tables and studies, measured with this tool: ``make tables``.
 
-Every figure is read from the manifests of runs in the work folder, which are made by the tool
-itself, so what is up to date is not run again and a stopped run goes on where it was. The page is
-written anew after each part. ``make tables DATA=folder`` takes the meshes of a folder, QUICK=1 a
-few small runs that only show that everything works, ONLY="fields noise" some parts.
+Every figure is read from the manifests of runs in the work folder. The tool makes these runs, so
+that results that are up to date are not made again, and a stopped run continues. The page is
+written after each part. ``make tables DATA=folder`` takes the meshes of a folder. QUICK=1 takes a
+few small runs, which only show that everything works. ONLY="fields noise" makes some of the parts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PARTS: dict[str, tuple[str, Callable[[Settings], str]]] = {
 
 
 def page(texts: dict[str, str], given: Settings) -> str:
-    """The whole of it."""
+    """The whole page."""
     said = ", ".join(path.stem for path in given.meshes)
     parts = [
         "# The paper's tables, run again",
@@ -71,7 +71,7 @@ def main() -> None:
     kept = asked.work / "texts.json"
     for name in asked.only or PARTS:
         text = PARTS[name][1](given)
-        # Parts that were made of other meshes, or otherwise, are no parts of this page.
+        # Parts that were made from other meshes or with other settings do not belong to this page.
         stored = json.loads(kept.read_text()) if kept.is_file() else {}
         texts = stored["texts"] if stored.get("settings") == str(given) else {}
         texts[name] = text

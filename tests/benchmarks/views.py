@@ -1,7 +1,8 @@
-"""The table of views: meshes are rendered, the pictures run, and the result compared with them.
+"""The table of views: meshes are rendered, the pictures are run, and the results compared.
 
-Run with ``make table-views MESHES=folder COUNT=6``. CD^2 and F1 at 0.01 are of 50,000 samples on
-either surface, at bounding-box diagonal 1; two samplings of one surface would give the floor.
+Run with ``make table-views MESHES=folder COUNT=6``. CD^2 and F1 at 0.01 come from 50,000 samples of
+each surface, with bounding-box diagonal 1. The sampling floor is the value for two samplings of one
+surface.
 """
 
 from __future__ import annotations

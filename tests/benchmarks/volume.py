@@ -1,8 +1,9 @@
-"""Stage volume as the number of inner cells grows: time, memory, how far the CVT energy is from
-where it stops falling, and Lloyd's iteration for as many steps. Where OpenFOAM is installed, what
-its checkMesh says and how well its laplacianFoam solves a problem whose solution is known.
+"""The volume stage with a growing number of inner cells: time, memory and CVT energy.
 
-Run with ``make bench-volume INPUT=bunny.obj INNER_COUNTS="800 20000 100000"``.
+Run with ``make bench-volume INPUT=bunny.obj INNER_COUNTS="800 20000 100000"``. The energy is
+compared with that after many more steps, and with that of as many steps of Lloyd's iteration. If
+OpenFOAM is installed, its checkMesh checks the cells, and its laplacianFoam solves a problem with a
+known solution.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from vorolight.stages.voronoi.cells.interior import Guard
 from vorolight.stages.voronoi.cells.moments import cell_moments
 
 SKEWED = 4
-"""Above it checkMesh warns of a face."""
+"""Skewness of a face above which checkMesh warns."""
 DEBIAN = Path("/usr/share/openfoam")
-"""Where Debian's OpenFOAM has its settings, which it does not find by itself."""
+"""The folder with the settings of Debian's OpenFOAM, which it does not find by itself."""
 
 
 def call(*words: object) -> None:
@@ -43,7 +44,8 @@ def call(*words: object) -> None:
 
 
 def energy(guard: Guard, points: np.ndarray, threads: int) -> float:
-    """Of all cells inside the surface; those of its own generators end at the outside ones'."""
+    """The energy of all cells inside the surface. Cells of its own generators
+    end at the outside ones."""
     everything = np.concatenate([points, guard.within, guard.generators[~guard.inside]])
     count = len(points) + len(guard.within)
     return float(cell_moments(everything, count, threads=threads).energy.sum())
@@ -58,7 +60,8 @@ def lloyd(guard: Guard, points: np.ndarray, steps: int, threads: int) -> np.ndar
 
 
 def convergence(run: Path, long: int, threads: int) -> dict[str, Any]:
-    """What more steps would win, and what Lloyd's would from the same start."""
+    """The energies after the steps of the stage, after many more, and after
+    Lloyd's from the same start."""
     folder = RunFolder(run)
     frame = ModelFrame.of(folder.arrays("classify", "classify"))
     arrays, trained = (folder.arrays(stage, stage) for stage in ("volume", "sphere-train"))
@@ -76,7 +79,7 @@ def convergence(run: Path, long: int, threads: int) -> dict[str, Any]:
     further = Descent(guard, None, threads, points)
     for _ in range(long):
         further.step()
-    # Both from points that are spread at random.
+    # Both start from random points.
     random = np.random.default_rng(0)
     start = guard.moved(points, random.normal(size=points.shape), threads)
     timed: dict[str, Any] = {}
@@ -98,7 +101,7 @@ def convergence(run: Path, long: int, threads: int) -> dict[str, Any]:
 
 
 def foam(program: str, case: Path, *words: str) -> str:
-    """What a program of OpenFOAM prints."""
+    """The output of a program of OpenFOAM."""
     places = {"WM_PROJECT_DIR": str(DEBIAN)} if DEBIAN.is_dir() else {}
     done = subprocess.run(
         [program, *words], cwd=case, capture_output=True, text=True, env={**places, **os.environ}
@@ -109,7 +112,7 @@ def foam(program: str, case: Path, *words: str) -> str:
 
 
 def check_mesh(case: Path) -> dict[str, Any]:
-    """What checkMesh complains about."""
+    """The complaints of checkMesh."""
     lines = [line.strip() for line in foam("checkMesh", case, "-allTopology").splitlines()]
     return {
         "said": [line for line in lines if line.startswith(("*", "Failed"))],
@@ -123,7 +126,8 @@ def harmonic(points: np.ndarray) -> np.ndarray:
 
 
 def laplace(case: Path, mesh: PolyhedralMesh, points: np.ndarray) -> float:
-    """Root mean square error of laplacianFoam over that of the solution, ``harmonic``."""
+    """Root mean square error of laplacianFoam, divided by the root mean square of
+    ``harmonic``, the exact solution."""
 
     def write(place: str, kind: str, text: str) -> None:
         folder, name = place.split("/")
@@ -159,7 +163,7 @@ def laplace(case: Path, mesh: PolyhedralMesh, points: np.ndarray) -> float:
 
 
 def skewed(arrays: dict[str, Any], mesh: PolyhedralMesh) -> dict[str, Any]:
-    """The faces with a skewness above 4: how many, between what cells, and how small."""
+    """The faces with a skewness above 4: their number, the cells beside them, and their size."""
     found = quality(mesh)
     bad = np.flatnonzero(found.skewness > SKEWED)
     inner = arrays["generator_role"][mesh.cell_generator] == 2
@@ -177,7 +181,7 @@ def skewed(arrays: dict[str, Any], mesh: PolyhedralMesh) -> dict[str, Any]:
 
 
 def opened(run: Path, programs: bool) -> dict[str, Any]:
-    """What the cells are like, and what OpenFOAM makes of them."""
+    """Figures of the cells, and the results of OpenFOAM with them."""
     arrays = RunFolder(run).arrays("volume", "volume")
     mesh = PolyhedralMesh.from_arrays(arrays)
     found: dict[str, Any] = {"skewness_above_4": skewed(arrays, mesh)}

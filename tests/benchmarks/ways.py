@@ -1,4 +1,4 @@
-"""The ways to run a list of shapes; all have to end with the same bytes."""
+"""The ways to run a list of shapes. All must end with the same bytes."""
 
 from __future__ import annotations
 
@@ -31,17 +31,19 @@ samples = 2000
 lamp = false
 sides = 6
 """
-# What the Makefile says on the command line, in words of its own.
+# The same options as the Makefile's variables.
 MAKE = ["N=6", "FACES=polygon", "INNER=20", "FABRICATE=--no-lamp", "THREADS=1"]
 
 
 class Failed(RuntimeError):
-    """A way that did not come to its end; what it said."""
+    """A way that failed, with its message."""
 
 
 def prepare(folder: Path, count: int = 8) -> Path:
-    """A folder with ``count`` small shapes, their list, and options: two fields, the rest boxes and
-    ellipsoids."""
+    """A folder with ``count`` small shapes, their list, and options.
+
+    Two are fields, the others boxes and ellipsoids.
+    """
     import trimesh
 
     folder.mkdir(parents=True)
@@ -89,14 +91,15 @@ def directly(folder: Path, stages: Sequence[str] = STAGES) -> None:
 
 
 def by_make(folder: Path) -> None:
-    """Two at a time. Make says some options itself, and evaluates the first surface too."""
+    """With make, two at a time. The Makefile sets some options itself, and
+    evaluates the first surface."""
     names = [str(folder / s) if (folder / s).exists() else s for s in shapes(folder)]
     places = [f"RUNS={folder}/runs", f"CONFIG={folder}/options.toml", f"VENV={BIN.parent}"]
     call("make", "-j2", "shapes", f"SHAPES={' '.join(names)}", *MAKE, *places, cwd=ROOT)
 
 
 def by_snakemake(folder: Path, *words: object, profile: str = "local") -> str:
-    """examples/cluster, on this machine's processors or with another profile."""
+    """With examples/cluster, on the processors of this machine or with another profile."""
     here = ROOT / "examples" / "cluster"
     shutil.copy(here / "config.yaml", folder)
     command = [sys.executable, "-m", "snakemake", "-s", here / "Snakefile"]
@@ -104,20 +107,20 @@ def by_snakemake(folder: Path, *words: object, profile: str = "local") -> str:
 
 
 def by_snakemake_on_slurm(folder: Path) -> None:
-    """The same on Slurm; without accounting, and asking often."""
+    """With examples/cluster on Slurm, without accounting and with frequent queries."""
     words = ["--slurm-status-command", "squeue", "--slurm-init-seconds-before-status-checks", 5]
     by_snakemake(folder, *words, "--default-resources", "mem_mb=1000", profile="slurm")
 
 
 def by_sbatch(folder: Path) -> None:
-    """vorolight sbatch --submit, until the queue is empty."""
+    """With ``vorolight sbatch --submit``, until the queue is empty."""
     words = ["sbatch", "shapes.txt", "--runs", "runs", "--config", "options.toml", "--submit"]
     call(sys.executable, "-m", "vorolight.cli", *words, cwd=folder)
     wait_for_queue(900)
 
 
 def slurm_answers() -> bool:
-    """Whether there is a Slurm here, and it runs."""
+    """Whether Slurm is installed and runs."""
     return (
         shutil.which("sinfo") is not None
         and subprocess.run(["sinfo"], capture_output=True, timeout=60).returncode == 0
@@ -125,7 +128,8 @@ def slurm_answers() -> bool:
 
 
 def wait_for_queue(seconds: float) -> None:
-    """Until Slurm has no job of ours left. Raises Failed when that takes longer."""
+    """Wait until Slurm has no jobs of this user. Raises Failed if that takes
+    longer than ``seconds``."""
     deadline = time.monotonic() + seconds
     while left := call("squeue", "--me", "--noheader", cwd=ROOT):
         if time.monotonic() > deadline:
@@ -147,8 +151,11 @@ def runs(folder: Path) -> list[Path]:
 
 
 def results(run: Path) -> dict[str, object]:
-    """What must not depend on the way: all files of a run but logs, the report and the evaluation
-    of the first surface, which only Make asks for; manifests less what is volatile in them."""
+    """All results that must not depend on the way.
+
+    These are the files of a run, without logs, the report, and the evaluation of the first surface,
+    which only make asks for; and the manifests without their volatile blocks.
+    """
     found: dict[str, object] = {}
     for path in sorted(run.rglob("*")):
         name = path.relative_to(run).as_posix()
@@ -162,7 +169,7 @@ def results(run: Path) -> dict[str, object]:
 
 
 def differences(folder: Path, other: Path) -> list[str]:
-    """Files of the runs in either folder that are not the same in both."""
+    """The files of the runs in both folders that are not the same."""
     names = {run.name for place in (folder, other) for run in runs(place)}
     faults = [] if names else [f"{folder}: no run"]
     for run in sorted(names):
@@ -172,7 +179,7 @@ def differences(folder: Path, other: Path) -> list[str]:
 
 
 def copied(folder: Path, target: Path) -> Path:
-    """The shapes and options of ``folder`` without what was made of them."""
+    """A copy of the shapes and options of ``folder``, without results."""
     made = shutil.ignore_patterns("runs", ".snakemake", "slurm-logs", "table.csv")
     shutil.copytree(folder, target, ignore=made)
     return target

@@ -1,8 +1,8 @@
-"""A fault at every operation that changes the run folder: kills, a full disk, a read-only one.
+"""A fault at every operation that changes the run folder: kills, a full disk, a read-only disk.
 
-After a kill the same command must end with the bytes of an undisturbed run and leave nothing
-else. An error must be told in one sentence, and an older result of the stage must still stand,
-unless it comes while the files are being exchanged. Exits with 1 if anything was otherwise.
+After a kill the same command must end with the bytes of an undisturbed run and leave nothing else.
+An error must be reported in one sentence. The older result of the stage must then still be there,
+unless the error occurs while files are exchanged. Exits with 1 otherwise.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FAULTS: dict[str, dict[str, Any]] = {
     "EIO from then on": {"error": "EIO", "lasting": True},
 }
 EXCHANGE = ("rename", "remove", "link")
-"""Operations that exchange finished files: an error there may cost the older result."""
+"""Operations that exchange finished files. An error in them may lose the older result."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,10 @@ class Trial:
 
 
 def plan(runs: Runs, names: list[str], every: bool) -> list[Trial]:
-    """Each fault at each site: at the first of the operations that are alike, such as the writes
-    of several checkpoints, or at ``every`` one."""
+    """Each fault at each place: at the first of several similar operations, or at ``every`` one.
+
+    The writes of several checkpoints are similar operations.
+    """
     trials = []
     for name in names:
         case = CASES[name]
@@ -65,7 +67,7 @@ def plan(runs: Runs, names: list[str], every: bool) -> list[Trial]:
 
 
 def judge(runs: Runs, trial: Trial) -> tuple[str, str]:
-    """How a trial ended, in a word; and what was wrong, empty if nothing was."""
+    """How a trial ended, in a word, and what was wrong; empty if nothing was."""
     case, fault = CASES[trial.case], FAULTS[trial.fault]
     place = runs.copy("trial", *case.before)
     before = kept(place)
@@ -75,7 +77,7 @@ def judge(runs: Runs, trial: Trial) -> tuple[str, str]:
     wrong = _wrong_end(first, fault)
     outcome = {0: "ignored"}.get(first.code, "stopped")
     if not wrong and first.code == 0:
-        # What could not be tidied up is there until the next start.
+        # Files that could not be removed stay until the next start.
         wrong = "" if _stands(expected, between) else differences(between, expected)
     elif not wrong and "error" in fault and not _stands(before, between):
         outcome = "older result lost"
@@ -102,14 +104,14 @@ def _wrong_end(first: Any, fault: dict[str, Any]) -> str:
 
 
 def _stands(before: dict[str, Any], between: dict[str, Any]) -> bool:
-    """Whether all that was there is there unchanged, whatever else is."""
+    """Whether everything that was there is still there, unchanged."""
     return all(between.get(name) == value for name, value in before.items())
 
 
 def _claims_too_much(
     runs: Runs, case: Case, place: Path, before: Any, between: Any, expected: Any
 ) -> str:
-    """A result that is neither the older nor the new one, and yet called done."""
+    """The fault of a result that is neither the older nor the new one, and is still called done."""
     if _stands(before, between) or _stands(expected, between):
         return ""
     import json

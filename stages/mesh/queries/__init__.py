@@ -1,1 +1,1 @@
-"""Questions to a mesh: closest points, what is inside, thickness, crossing triangles."""
+"""Queries about a mesh: closest points, inside or outside, thickness, crossing triangles."""

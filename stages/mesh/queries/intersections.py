@@ -11,22 +11,22 @@ from .triangle_tree import DEPTH as DEEPEST
 from .triangle_tree import BoxTree
 
 DEPTH = 1e-9
-"""Depth, in units of the bounding box's diagonal, from which on triangles cross.
+"""Triangles cross if they overlap by more than this, in diagonals of the bounding box.
 
 Corners are rounded to 1e-16 of their coordinates, and faces with more than three corners are flat
-only to that precision. A depth that is 1e7 times as large is not rounding.
+only to that precision. A depth 1e7 times as large cannot come from rounding.
 """
 
 
 def self_intersections(
     vertices: Floats, triangles: Ints, asked: NDArray[np.bool_] | None = None
 ) -> Ints:
-    """The pairs ``(P, 2)`` of ``triangles (T, 3)`` that cross or overlap, smaller index first, of
-    which at least one is ``asked (T,)`` for.
+    """The pairs ``(P, 2)`` of ``triangles (T, 3)`` that cross or overlap, smaller index first.
 
-    Two triangles cross when an edge of one has its ends on both sides of the other, by more than
-    DEPTH each, and meets it. Triangles in one plane overlap when they have area in common, so
-    neighbours do that are folded flat onto each other. Triangles without area are left out.
+    With ``asked (T,)``, only pairs with at least one such triangle are sought. Two triangles cross
+    if an edge of one meets the other and has its ends on both sides of it, more than DEPTH away.
+    Triangles in one plane overlap if they have area in common; two neighbours that are folded onto
+    each other do. Triangles without area are left out.
     """
     wanted = np.ones(len(triangles), dtype=bool) if asked is None else asked
     if len(triangles) < 2 or not wanted.any():
@@ -53,8 +53,11 @@ def _crossings(
     nodes: Floats,
     asked: NDArray[np.bool_],
 ) -> Ints:
-    """The crossing pairs of triangles whose boxes ``(T, 2, 3)`` meet, one of each asked for; they
-    are found in a tree, whose leaves have the triangles in ``order`` and ``nodes`` have boxes."""
+    """The pairs of triangles that cross, with at least one ``asked`` triangle each.
+
+    Candidates are triangles whose ``boxes (T, 2, 3)`` meet. They are found in the tree of boxes
+    ``nodes``, whose leaves have the triangles in ``order``.
+    """
     found = np.empty((64, 2), np.int64)
     count, total, leaves = 0, len(order), len(nodes) // 2
     normal, solid = _normals(vertices, triangles)
@@ -75,7 +78,7 @@ def _crossings(
             leaf = node - leaves
             for i in range(leaf * total // leaves, (leaf + 1) * total // leaves):
                 b = order[i]
-                # Of two that are asked for, the first finds the pair.
+                # If both triangles are asked for, the one with the smaller index finds the pair.
                 if b == a or not solid[b] or (asked[b] and b < a):
                     continue
                 if not _meet(boxes[a], boxes[b]):
@@ -102,7 +105,7 @@ def _meet(one: Floats, other: Floats) -> bool:
 
 @compiled
 def _normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Unit normals ``(T, 3)``, and 1 for triangles that are higher than DEPTH ``(T,)``."""
+    """Unit normals ``(T, 3)``, and 1 for triangles with a height of more than DEPTH ``(T,)``."""
     normal = np.zeros((len(triangles), 3))
     solid = np.zeros(len(triangles), np.int64)
     for t in range(len(triangles)):
@@ -124,7 +127,7 @@ def _normals(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 @compiled
 def _along(vertices: Floats, a: int, b: int, c: int, d: int) -> float:
-    """Scalar product of the vectors from ``a`` to ``b`` and from ``c`` to ``d``."""
+    """The scalar product of the vectors from ``a`` to ``b`` and from ``c`` to ``d``."""
     total = 0.0
     for k in range(3):
         total += (vertices[b, k] - vertices[a, k]) * (vertices[d, k] - vertices[c, k])
@@ -133,7 +136,7 @@ def _along(vertices: Floats, a: int, b: int, c: int, d: int) -> float:
 
 @compiled
 def _height(vertices: Floats, start: int, end: int, normal: Floats) -> float:
-    """How far ``end`` is from ``start`` along ``normal``."""
+    """The coordinate of ``end`` along ``normal``, measured from ``start``."""
     total = 0.0
     for k in range(3):
         total += (vertices[end, k] - vertices[start, k]) * normal[k]
@@ -142,8 +145,11 @@ def _height(vertices: Floats, start: int, end: int, normal: Floats) -> float:
 
 @compiled
 def _inward(vertices: Floats, start: int, end: int, normal: Floats, x: Floats) -> float:
-    """How far point ``x`` is to the left of the line from ``start`` to ``end``, seen from where
-    ``normal`` points to: inside a triangle of that normal it is so for all edges."""
+    """The signed distance of point ``x`` to the left of the line from ``start`` to ``end``.
+
+    Left is as seen against ``normal``. Inside a triangle with that normal it is positive for all
+    edges.
+    """
     total, length = 0.0, 0.0
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -156,7 +162,8 @@ def _inward(vertices: Floats, start: int, end: int, normal: Floats, x: Floats) -
 
 @compiled
 def _depth(vertices: Floats, q: Ints, normal: Floats, x: Floats) -> float:
-    """How far ``x`` of q's plane is inside triangle ``q``: least distance to its edges, signed."""
+    """The least signed distance of ``x``, a point in the plane of ``q``, to the edges of triangle
+    ``q``. It is positive inside."""
     least = np.inf
     for i in range(3):
         least = min(least, _inward(vertices, q[i], q[(i + 1) % 3], normal, x))
@@ -165,7 +172,7 @@ def _depth(vertices: Floats, q: Ints, normal: Floats, x: Floats) -> float:
 
 @compiled
 def _cross(vertices: Floats, p: Ints, q: Ints, p_normal: Floats, q_normal: Floats) -> bool:
-    """Whether triangles ``p`` and ``q (3,)`` cross, or overlap in one plane."""
+    """Whether triangles ``p (3,)`` and ``q (3,)`` cross, or overlap in one plane."""
     flat = True
     for i in range(3):
         flat = flat and abs(_height(vertices, q[0], p[i], q_normal)) <= DEPTH
@@ -178,7 +185,7 @@ def _cross(vertices: Floats, p: Ints, q: Ints, p_normal: Floats, q_normal: Float
 
 @compiled
 def _pierces(vertices: Floats, p: Ints, q: Ints, normal: Floats) -> bool:
-    """Whether an edge of ``p`` passes through ``q``, whose normal is given."""
+    """Whether an edge of ``p`` passes through ``q``, which has the given ``normal``."""
     x = np.empty(3)
     for i in range(3):
         start, end = p[i], p[(i + 1) % 3]
@@ -190,7 +197,7 @@ def _pierces(vertices: Floats, p: Ints, q: Ints, normal: Floats) -> bool:
             share = here / (here - there)
             for k in range(3):
                 x[k] = vertices[start, k] + share * (vertices[end, k] - vertices[start, k])
-            # Edges of mirror images meet exactly at the mirror.
+            # A part and its mirror image have edges that meet exactly in the mirror plane.
             if _depth(vertices, q, normal, x) > -DEPTH:
                 return True
     return False
@@ -198,7 +205,7 @@ def _pierces(vertices: Floats, p: Ints, q: Ints, normal: Floats) -> bool:
 
 @compiled
 def _overlap(vertices: Floats, p: Ints, q: Ints, p_normal: Floats, q_normal: Floats) -> bool:
-    """Whether two triangles in a plane have area in common."""
+    """Whether two triangles in one plane have area in common."""
     middle = np.zeros(3)
     for one, other, normal in ((p, q, q_normal), (q, p, p_normal)):
         for k in range(3):
@@ -220,7 +227,7 @@ def _overlap(vertices: Floats, p: Ints, q: Ints, p_normal: Floats, q_normal: Flo
 
 @compiled
 def _divided(vertices: Floats, a: int, b: int, c: int, d: int, normal: Floats) -> bool:
-    """Whether ``c`` and ``d`` lie on both sides of the line from ``a`` to ``b``."""
+    """Whether ``c`` and ``d`` lie on opposite sides of the line from ``a`` to ``b``."""
     one = _inward(vertices, a, b, normal, vertices[c])
     two = _inward(vertices, a, b, normal, vertices[d])
     return min(one, two) < -DEPTH and max(one, two) > DEPTH

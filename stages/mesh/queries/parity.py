@@ -1,4 +1,4 @@
-"""Inside by ray parity, for many points at once and without a ray-tracing library."""
+"""Inside or outside by counting crossings of rays, for many points at once."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 from ..polygons import Floats, Ints
 
 PAIRS_AT_ONCE = 2_000_000
+"""Number of pairs of a point and a triangle that are tested at once, which bounds the memory."""
 MOST_ENTRIES = 20_000_000
+"""Largest number of entries in the bins, which bounds the memory."""
 
 
 def _rotation() -> Floats:
-    """A fixed rotation without special angles, so that no modelled edge is parallel to a ray."""
+    """A fixed rotation without special angles, so that no edge of a designed shape
+    is parallel to a ray."""
     quaternion = np.array([0.7310585786, 0.2401873452, -0.5179328641, 0.3732457815])
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array(
@@ -25,17 +28,18 @@ def _rotation() -> Floats:
 
 
 class RayParity:
-    """Counts how often a ray from each point meets a triangle surface; odd is inside.
+    """Counts how often a ray from each point meets a triangle surface. Inside, the count is odd.
 
-    Rays run along one direction; triangles are binned on the plane across it. Two triangles decide
-    about their common edge with the same arithmetic, so on a closed surface no ray slips through.
+    All rays have the same direction, and triangles are sorted into bins on the plane across it. Two
+    triangles with a common edge use the same arithmetic for it, so that no ray passes between the
+    triangles of a closed surface.
     """
 
     def __init__(self, vertices: Floats, triangles: Ints, direction: int = 0) -> None:
-        """``direction`` 0, 1 or 2 picks one of three perpendicular ray directions."""
+        """``direction`` is 0, 1 or 2 and selects one of three perpendicular directions of rays."""
         self.frame = np.roll(_rotation(), direction, axis=0)
         placed = vertices @ self.frame.T
-        # Two equal corners make no triangle and cross nothing.
+        # A triangle with two equal corners meets no ray.
         whole = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
         order = np.argsort(triangles[whole], axis=1)
         ordered = np.take_along_axis(triangles[whole], order, axis=1)
@@ -47,7 +51,7 @@ class RayParity:
         self.bins = 2 * int(np.clip(np.sqrt(len(ordered)), 1, 1024))
         span = np.maximum(top - self.origin, np.finfo(float).tiny)
         count = np.array([MOST_ENTRIES + 1])
-        while count.sum() > MOST_ENTRIES and self.bins > 1:  # long triangles fill many bins
+        while count.sum() > MOST_ENTRIES and self.bins > 1:  # long triangles are in many bins
             self.bins //= 2
             self.scale = self.bins / span
             first, last = self._bin(low), self._bin(high)
@@ -66,13 +70,15 @@ class RayParity:
         return np.clip(place, 0, self.bins - 1).astype(np.int64)
 
     def inside(self, points: Floats) -> NDArray[np.bool_]:
-        """Whether the ray from each of ``points (N, 3)`` meets the surface an odd number of
-        times, ``(N,) bool``."""
+        """Whether the ray from each of ``points (N, 3)`` meets the surface an odd
+        number of times, ``(N,)``."""
         return np.asarray(self._crossings(points)[0] % 2 == 1)
 
     def winding(self, points: Floats) -> Ints:
-        """The winding number ``(N,)`` of a closed oriented surface about ``points (N, 3)``: 1
-        inside a surface whose normals point outward, 2 where two such bodies overlap."""
+        """The winding number ``(N,)`` of a closed, oriented surface around ``points (N, 3)``.
+
+        It is 1 inside a surface with outward normals, and 2 where two such bodies overlap.
+        """
         return self._crossings(points)[1]
 
     def _crossings(self, points: Floats) -> tuple[Ints, Ints]:
@@ -111,7 +117,7 @@ class RayParity:
         normal = np.cross(edge1, edge2)
         reach = np.einsum("ij,ij->i", corner[:, 0] - points[owner], normal)
         above = reach * normal[:, 2] > 0
-        # A ray leaves the body through a triangle that faces along it.
+        # A ray leaves the body where the triangle's normal has a positive part along the ray.
         leaving = np.where((normal[:, 2] > 0) != self.turned[member[hit]], 1, -1)
         number = np.bincount(owner[above], minlength=len(points))
         signed = np.bincount(owner[above], leaving[above], minlength=len(points))

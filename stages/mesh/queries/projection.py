@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from .triangle_tree import TriangleTree
 
 SAMPLES = 60_000
-"""Points that stand for the surface, beside the centroid of every triangle."""
+"""Number of random samples of the surface. The centroid of each triangle is a further sample."""
 CANDIDATES = 4
-"""Samples that face a point's way whose triangles are tried where the closest one does not."""
+"""Number of samples whose triangles are tried if the closest triangle faces the wrong side."""
 AGAINST = -0.2
-"""A triangle whose normal has a smaller cosine with the one asked for is of another sheet."""
+"""A triangle faces the wrong side if the cosine of its normal and the given one is less."""
 
 
 class ClosestPoint:
     """Exact closest points, found with a tree of bounding boxes.
 
-    ``samples (S, 3)`` lie on triangles ``owner (S,)`` with ``corners (T, 3, 3)`` and unit
-    ``normals (T, 3)``. ``reach`` is the distance that a turn of a normal by one radian counts for
-    where only one of several sheets is wanted.
+    ``samples (S, 3)`` lie on the triangles ``owner (S,)``, which have ``corners (T, 3, 3)`` and
+    unit ``normals (T, 3)``. If only one of several sheets is wanted, samples are compared by
+    position and normal: a difference of 1 in the normal counts like the distance ``reach``.
     """
 
     def __init__(self, vertices: Floats, triangles: Ints, reach: float, threads: int = 1) -> None:
@@ -37,7 +37,7 @@ class ClosestPoint:
         self.triangles = np.ascontiguousarray(triangles[solid])
         self.corners = self.vertices[self.triangles]
         self.normals = normals[solid]
-        # A fixed seed keeps what the samples are used for a function of the mesh.
+        # With a fixed seed the samples depend on the mesh only.
         samples, owner = sample_triangles(
             vertices, self.triangles, SAMPLES, np.random.default_rng(0)
         )
@@ -51,8 +51,10 @@ class ClosestPoint:
         return np.asarray(self.normals[self.owner])
 
     def keep(self, wanted: NDArray[np.bool_], turned: NDArray[np.bool_]) -> None:
-        """Leave out the samples that are not ``wanted (S,)``, and triangles without any that is;
-        turn the normals of the triangles with ``turned (S,)`` samples."""
+        """Remove the samples that are not ``wanted (S,)``, and the triangles that lose all samples.
+
+        The normals of triangles with a ``turned (S,)`` sample are reversed.
+        """
         flip = np.zeros(len(self.normals), dtype=bool)
         flip[self.owner[turned]] = True
         self.normals = np.where(flip[:, None], -self.normals, self.normals)
@@ -68,28 +70,28 @@ class ClosestPoint:
 
     @cached_property
     def tree(self) -> TriangleTree:
-        """Over the triangles."""
+        """The tree of the triangles."""
         from .triangle_tree import TriangleTree  # numba, which it needs, is large
 
         return TriangleTree(self.vertices, self.triangles, self.threads)
 
     @cached_property
     def facing(self) -> Any:
-        """Over the samples and their normals."""
+        """A tree of the samples by position and normal, ``(S, 6)``."""
         from scipy.spatial import cKDTree
 
         return cKDTree(np.concatenate([self.samples, self.reach * self.sample_normals], axis=1))
 
     def locate(self, points: Floats) -> tuple[Floats, Ints]:
-        """The closest points ``(N, 3)`` of all triangles, and the triangle of each ``(N,)``."""
+        """The closest points ``(N, 3)`` on all triangles, and their triangles ``(N,)``."""
         _, triangle, closest = self.tree.closest(points)
         return closest, triangle
 
     def __call__(self, points: Floats, normals: Floats | None = None) -> tuple[Floats, Floats]:
-        """Closest points ``(N, 3)`` and the unit normals of their triangles.
+        """The closest points ``(N, 3)`` and the unit normals of their triangles.
 
-        With ``normals (N, 3)`` a triangle that faces the other way counts only if none of the
-        triangles of the nearest samples that do not is to be had.
+        With ``normals (N, 3)``, a closest triangle that faces the wrong side is replaced by the
+        closest of the CANDIDATES samples' triangles that does not, if there is one.
         """
         closest, triangle = self.locate(points)
         if normals is None:
@@ -112,7 +114,8 @@ class ClosestPoint:
 
 
 def closest_on_triangles(points: Floats, corners: Floats) -> Floats:
-    """The point of triangle ``corners (N, 3, 3)`` closest to ``points (N, 3)``, row by row."""
+    """The point ``(N, 3)`` of each triangle ``corners (N, 3, 3)`` that is closest
+    to ``points (N, 3)``."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.einsum("ij,ij->i", normal, normal)

@@ -1,5 +1,8 @@
-"""How thin a shape and its gaps are, measured on a triangulation by rays, and the edge lengths that
-leave the spheres of opposite sheets room beside each other."""
+"""Thickness of a shape and of its gaps, measured by rays through a triangulation.
+
+From it follow the edge lengths at which the spheres of opposite sheets do not contain each other's
+generators.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +19,32 @@ if TYPE_CHECKING:
     from .triangle_tree import TriangleTree
 
 FLAT, ROUND = 1.0, 0.5
-"""Edge over the thickness of a plate, and over that of a tube, up to which the spheres of one sheet
-leave out the generators of the other."""
+"""Largest edge, divided by the thickness, at which the spheres of one sheet contain no generators
+of the opposite one: first for a plate, then for a tube."""
 OPPOSITE = -0.5
-"""Cosine of two normals below which a ray has come to an opposite sheet."""
+"""A ray has met an opposite sheet if the cosine of the two normals is less."""
 BESIDE = 1e-6
-"""In units of h0: how far from the surface a ray starts."""
+"""Distance from the surface at which a ray starts, in units of h0."""
 ASIDE, TURNED = 0.8, 0.6
-"""A part is round where so many thicknesses aside the normal has a smaller cosine."""
+"""A part is round if, ASIDE thicknesses beside a point, the cosine of the two
+normals is less than TURNED."""
 APEX = (0.5, 1.6)
-"""Distance of the nearest crease over that at which two sheets would meet, between which they do:
-the thickness is that of a wedge."""
+"""Two sheets form a wedge at a crease if the distance to the crease, divided by the distance to the
+line where the sheets would meet, is in this range."""
 RIM = 2.2
-"""In thicknesses: nearer to a crease the sheets need not be parallel."""
+"""Within this distance of a crease, in thicknesses, sheets form a wedge even if
+they are not parallel."""
 
 
 def across(
     tree: TriangleTree, normals: Floats, points: Floats, facing: Floats
 ) -> tuple[Floats, Floats]:
-    """Distances ``(2, S)`` from ``points (S, 3)`` of a surface to the opposite sheet, through the
-    shape and through the gap outside, infinity where there is none; and the cosines of the two
-    normals. The triangles of ``tree`` have ``normals (T, 3)``, the points ``facing (S, 3)``."""
+    """Distances ``(2, S)`` from points of a surface to the opposite sheet, and cosines ``(2, S)``.
+
+    The first row goes through the shape, the second through the gap outside. Distances are infinite
+    where there is no opposite sheet. The cosines are those of the two normals. The triangles of
+    ``tree`` have ``normals (T, 3)``, and ``points (S, 3)`` have the normals ``facing (S, 3)``.
+    """
     distance, cosine = np.full((2, len(points)), np.inf), np.ones((2, len(points)))
     for row, sign in enumerate((-1.0, 1.0)):
         way = sign * facing
@@ -48,15 +56,18 @@ def across(
 
 
 def thickness(vertices: Floats, triangles: Ints, owner: Ints) -> Floats:
-    """Of the shape or the gap, whichever is thinner, at the middle of triangles ``owner (S,)``;
-    infinity where there is no opposite sheet."""
+    """The thickness ``(S,)`` at the centroids of the triangles ``owner (S,)``.
+
+    It is that of the shape or of the gap outside, whichever is less, and infinite where there is no
+    opposite sheet.
+    """
     points = vertices[triangles[owner]].mean(axis=1)
     tree, normals = searched(vertices, triangles)
     return np.asarray(across(tree, normals, points, normals[owner])[0].min(axis=0))
 
 
 def searched(vertices: Floats, triangles: Ints) -> tuple[TriangleTree, Floats]:
-    """A tree of the triangles, and their normals."""
+    """A tree of the triangles, and their unit normals ``(T, 3)``."""
     from .triangle_tree import TriangleTree  # numba, which it needs, is large
 
     return TriangleTree(vertices, triangles), triangle_normals(vertices, triangles)[0]
@@ -70,10 +81,10 @@ def thin_lengths(
     creases: Creases | None,
     shortest_at_creases: float,
 ) -> Floats:
-    """The longest edges ``(S,)`` that thin parts and gaps allow at ``points``, infinity elsewhere.
+    """The longest edges ``(S,)`` that thin parts and gaps allow at ``points (S, 3)``.
 
-    Towards a crease at which two sheets meet in a wedge the thickness goes to zero; edges beside
-    it need not be shorter than ``shortest_at_creases``.
+    They are infinite where nothing is thin. Towards a crease where two sheets form a wedge, the
+    thickness goes to zero. Edges there need not be shorter than ``shortest_at_creases``.
     """
     tree, normals = searched(vertices, triangles)
     facing = normals[owner]
@@ -94,8 +105,11 @@ def thin_lengths(
 def _round(
     tree: TriangleTree, normals: Floats, points: Floats, facing: Floats, thickness: Floats
 ) -> NDArray[np.bool_]:
-    """Which of ``points`` lie on a part that turns within its own thickness, as a tube does: the
-    surface closest to a point beside them, in their tangent plane, faces another way."""
+    """Which of ``points`` lie on a part that curves within its own thickness, as a tube does.
+
+    There the normal at the closest surface point differs for points beside them in the tangent
+    plane.
+    """
     turned = np.zeros(len(points), dtype=bool)
     thin = np.flatnonzero(np.isfinite(thickness))
     own = facing[thin]

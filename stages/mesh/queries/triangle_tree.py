@@ -1,5 +1,5 @@
-"""Closest points of triangles, and the first that rays meet, for many at once: a tree of boxes in
-flat arrays."""
+"""A tree of bounding boxes that finds closest points of triangles, and the
+first triangle on rays."""
 
 from __future__ import annotations
 
@@ -13,33 +13,36 @@ from ...compiled import compiled
 from ..polygons import Floats, Ints
 
 LEAF = 4
-"""Triangles of a leaf, at the most."""
+"""Largest number of triangles in a leaf."""
 DEPTH = 64
-"""Nodes that may wait; the tree is balanced, so that it is no deeper than this."""
+"""Size of the stack of nodes. The tree is balanced, so that it is never deeper."""
 GRAZED = 1e-9
-"""How far beside a triangle, over its size, a ray still meets it: none may pass between two."""
+"""A ray still meets a triangle if it passes beside it by this share of its size. So no ray passes
+between two triangles."""
 NEEDLE = 1e-14
-"""Squared sine of an angle below which a triangle is no more than its sides."""
+"""A triangle whose sides form an angle with a smaller squared sine is
+treated as its three sides."""
 CHUNK = 4096
-"""Points that a thread takes at a time; what is found does not depend on it."""
+"""Number of points that a thread processes at a time. The results do not depend on it."""
 
 
 class BoxTree:
     """A balanced tree over boxes from ``low (T, 3)`` to ``high (T, 3)``.
 
-    They are halved at the median of their middles along the longest side (Wald, Boulos and Shirley,
-    "Ray tracing deformable scenes using dynamic bounding volume hierarchies", 2007).
+    A node is divided at the median of the boxes' centres along its longest side (Wald, Boulos and
+    Shirley, "Ray tracing deformable scenes using dynamic bounding volume hierarchies", 2007).
     """
 
     def __init__(self, low: Floats, high: Floats) -> None:
+        """Builds the tree."""
         self.leaves = 1
         while LEAF * self.leaves < len(low):
             self.leaves *= 2
         self.order: Ints = np.arange(len(low))
-        """The boxes from leaf to leaf, ``(T,)``."""
+        """The indices of the boxes, leaf by leaf, ``(T,)``."""
         _arrange(self.order, low + high, self.leaves)
         self.boxes = np.empty((2 * self.leaves, 2, 3))
-        """Of each node: the root is 1, the children of k are 2 k and 2 k + 1."""
+        """The box of each node. The root is 1, and the children of k are 2 k and 2 k + 1."""
         _enclose(self.boxes, low[self.order], high[self.order], self.leaves)
 
 
@@ -53,8 +56,8 @@ class TriangleTree(BoxTree):
         self.corners = np.ascontiguousarray(corners[self.order])
 
     def closest(self, points: Floats) -> tuple[Floats, Ints, Floats]:
-        """Squared distances ``(N,)`` of ``points (N, 3)``, the triangle that is closest to each
-        ``(N,)``, and the point of it ``(N, 3)``."""
+        """Squared distances ``(N,)`` of ``points (N, 3)`` to the surface, the closest triangles
+        ``(N,)``, and the closest points ``(N, 3)``."""
         points = np.ascontiguousarray(points, np.float64)
         square, number = np.empty(len(points)), np.empty(len(points), np.int64)
         place = np.empty((len(points), 3))
@@ -62,9 +65,11 @@ class TriangleTree(BoxTree):
         return square, self.order[number], place
 
     def first_met(self, points: Floats, directions: Floats) -> tuple[Floats, Ints]:
-        """How far ``(N,)`` rays from ``points (N, 3)`` go along unit ``directions (N, 3)`` before
-        they meet a triangle, infinity where they meet none, and which that is ``(N,)``, -1 where
-        there is none."""
+        """Distances ``(N,)`` along rays to the first triangle, and these triangles ``(N,)``.
+
+        Rays start at ``points (N, 3)`` and have unit ``directions (N, 3)``. Without a triangle the
+        distance is infinite and the index is -1.
+        """
         points = np.ascontiguousarray(points, np.float64)
         directions = np.ascontiguousarray(directions, np.float64)
         distance, number = np.empty(len(points)), np.empty(len(points), np.int64)
@@ -72,7 +77,7 @@ class TriangleTree(BoxTree):
         return distance, np.where(number < 0, -1, self.order[number])
 
     def _in_parts(self, kernel: Callable[..., None], *rows: Any) -> None:
-        """Call ``kernel`` on a part of all ``rows`` at a time, on all threads."""
+        """Call ``kernel`` on CHUNK rows of all arrays at a time, on all threads."""
 
         def part(start: int) -> None:
             own = (array[start : start + CHUNK] for array in rows)
@@ -89,8 +94,10 @@ class TriangleTree(BoxTree):
 
 @compiled
 def _arrange(order: Ints, middle: Floats, leaves: int) -> None:
-    """Sort ``order (T,)``: triangles under a node follow each other; ``middle (T, 3)`` is
-    twice the middle of their boxes."""
+    """Sort ``order (T,)`` so that the triangles under each node follow each other.
+
+    ``middle (T, 3)`` is twice the centre of each box.
+    """
     count = len(order)
     for node in range(1, leaves):
         depth = 0
@@ -114,8 +121,8 @@ def _arrange(order: Ints, middle: Floats, leaves: int) -> None:
 
 @compiled
 def _select(order: Ints, key: Floats, start: int, end: int, split: int) -> None:
-    """Hoare's selection: what comes before ``split`` in ``order[start:end]`` has no larger key than
-    what comes after."""
+    """Hoare's selection in ``order[start:end]``: entries before ``split`` get keys that are not
+    larger than the keys of the entries after it."""
     low, high = start, end - 1
     while low < high:
         pivot = key[order[(low + high) // 2]]
@@ -139,7 +146,7 @@ def _select(order: Ints, key: Floats, start: int, end: int, split: int) -> None:
 
 @compiled
 def _enclose(boxes: Floats, low: Floats, high: Floats, leaves: int) -> None:
-    """The box of every node, from those of the triangles in order."""
+    """Compute the box of each node from the boxes of the triangles in order."""
     count = len(low)
     for leaf in range(leaves):
         boxes[leaves + leaf, 0] = np.inf
@@ -168,7 +175,8 @@ def _search(
     corners: Floats, boxes: Floats, leaves: int, points: Floats,
     square: Floats, number: Ints, place: Floats,
 ) -> None:  # fmt: skip
-    """The closest point of each of ``points``, into the three arrays at the end."""
+    """Write squared distance, triangle and closest point of each of ``points`` to
+    the last three arrays."""
     count = len(corners)
     waiting, far = np.empty(DEPTH, np.int64), np.empty(DEPTH)
     found = np.empty(3)
@@ -207,9 +215,12 @@ def _search(
 
 @compiled
 def _to_triangle(corners: Any, x: float, y: float, z: float, found: Floats) -> float:
-    """The squared distance of a point to a triangle, whose closest point becomes ``found (3,)``
-    (Ericson, "Real-time collision detection", 2005, section 5.1.5: the region of the triangle's
-    plane decides)."""
+    """The squared distance of a point to a triangle. The closest point is written to
+    ``found (3,)``.
+
+    Source: Ericson, "Real-time collision detection", 2005, section 5.1.5. The region of the
+    triangle's plane over which the point lies decides which corner, side or inner point is closest.
+    """
     ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
     ux, uy, uz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
     vx, vy, vz = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az
@@ -217,12 +228,12 @@ def _to_triangle(corners: Any, x: float, y: float, z: float, found: Floats) -> f
     up, vp = ux * px + uy * py + uz * pz, vx * px + vy * py + vz * pz
     uu, uv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz
     vv = vx * vx + vy * vy + vz * vz
-    # Numerators of the point's coordinates along both sides, where it is above the inside.
+    # s and t divided by area are coordinates along two sides, if the point is over the inside.
     s, t, area = vv * up - uv * vp, uu * vp - uv * up, uu * vv - uv * uv
     if s >= 0 and t >= 0 and s + t <= area and area > NEEDLE * uu * vv:
         s, t = s / area, t / area
     else:
-        # Else the closest of three sides has it.
+        # Otherwise the closest point is on one of the three sides.
         s = min(max(up / uu, 0.0), 1.0) if uu > 0 else 0.0
         t = 0.0
         least = _off(px, py, pz, s * ux, s * uy, s * uz)
@@ -248,7 +259,7 @@ def _off(px: float, py: float, pz: float, qx: float, qy: float, qz: float) -> fl
 
 @compiled
 def _entry(box: Floats, point: Floats, inverse: Floats, furthest: float) -> float:
-    """How far a ray goes before it is in a box, infinity if that is ``furthest`` or more."""
+    """Distance along a ray at which it enters a box; infinity if that is ``furthest`` or more."""
     begin, end = 0.0, furthest
     for k in range(3):
         if np.isinf(inverse[k]):
@@ -266,7 +277,7 @@ def _shoot(
     corners: Floats, boxes: Floats, leaves: int, points: Floats, directions: Floats,
     distance: Floats, number: Ints,
 ) -> None:  # fmt: skip
-    """The first triangle on each ray, into the two arrays at the end."""
+    """Write the distance and the index of the first triangle on each ray to the last two arrays."""
     count = len(corners)
     waiting, far = np.empty(DEPTH, np.int64), np.empty(DEPTH)
     inverse = np.empty(3)
@@ -285,7 +296,7 @@ def _shoot(
                 first = _entry(boxes[2 * node], point, inverse, best)
                 second = _entry(boxes[2 * node + 1], point, inverse, best)
                 node *= 2
-                # As in _search: a function of its own for both takes 1.3 times as long.
+                # The same lines are in _search: a function for both takes 1.3 times as long.
                 if second < first:
                     first, second = second, first
                     node += 1
@@ -307,8 +318,10 @@ def _shoot(
 
 @compiled
 def _to_plane(corners: Floats, point: Floats, way: Floats) -> float:
-    """How far a ray goes to a triangle, infinity if it does not meet it (Moeller and Trumbore,
-    "Fast, minimum storage ray-triangle intersection", 1997)."""
+    """Distance along a ray to a triangle, infinity if it does not meet it.
+
+    Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle intersection", 1997.
+    """
     ax, ay, az = corners[0, 0], corners[0, 1], corners[0, 2]
     ux, uy, uz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
     vx, vy, vz = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az

@@ -1,4 +1,4 @@
-"""The generalised winding number of a surface with holes, or with faces turned the wrong way."""
+"""The generalised winding number of a surface that has holes or wrongly oriented faces."""
 
 from __future__ import annotations
 
@@ -12,27 +12,33 @@ from ..polygons import Floats, Ints
 from .parity import RayParity
 
 ASIDE = 1e-4
-"""How far beside a triangle is asked which side is inside, in diagonals of the bounding box."""
+"""Distance from a triangle at which its two sides are tested, in diagonals of the bounding box."""
 ASKED = 200
-"""Triangles of a patch that are asked, at the most."""
+"""Largest number of triangles of a patch that are tested."""
 APART = 0.6
-"""Distance from the triangles, in edges of the grid, from which the level is a hole's."""
+"""The level set counts as the closure of a hole where its distance from the triangles, in edges of
+the grid, is more than this."""
 
 
 @dataclass(frozen=True)
 class WindingNumber:
-    """Of ``triangles (T, 3)``, all turned outward as far as can be told (Jacobson et al. 2013,
-    summed as by Barill et al. 2018)."""
+    """The winding number of ``triangles (T, 3)``, all turned outward as far as that can be decided.
+
+    Sources: Jacobson et al. 2013; the fast sum is that of Barill et al. 2018.
+    """
 
     vertices: Floats
     triangles: Ints
     doubled: int
-    """Triangles that were there more than once and count once."""
+    """Number of duplicate triangles that were removed."""
     turned: int
-    """Triangles that had to be turned over."""
+    """Number of triangles that were turned over."""
 
     def __call__(self, points: Floats) -> Floats:
-        """About ``points (N, 3)``: 1 deep inside, 0 far outside, between them near a hole."""
+        """The winding number ``(N,)`` around ``points (N, 3)``.
+
+        It is 1 deep inside, 0 far outside, and between these near a hole.
+        """
         import igl
 
         return np.asarray(
@@ -43,17 +49,20 @@ class WindingNumber:
 def membranes(
     winding: WindingNumber, level: float, edge: float, closest: Callable[[Floats], Floats]
 ) -> tuple[Floats, Ints]:
-    """What closes the holes: vertices and outward triangles, of a size of about ``edge``, of the
-    surface where the winding number is ``level``, so far as it runs apart from the triangles;
-    ``closest`` gives the point of these nearest to each point."""
+    """Vertices and outward triangles of membranes that close the holes.
+
+    They are the parts of the level set of the winding number at ``level`` that are not close to the
+    triangles. Their edges have a length of about ``edge``. ``closest`` gives the closest point on
+    the triangles to each point.
+    """
     import igl
 
     low, high = winding.vertices.min(axis=0) - 2 * edge, winding.vertices.max(axis=0) + 2 * edge
     shape = np.ceil((high - low) / edge).astype(np.int64) + 1
-    # The first index runs fastest.
+    # Marching cubes expects a grid whose first index runs fastest.
     index = np.stack(np.unravel_index(np.arange(shape.prod()), tuple(shape[::-1])), axis=1)
     grid = low + edge * index[:, ::-1]
-    # What is negative is inside to marching cubes.
+    # Marching cubes takes negative values as inside.
     vertices, triangles, _ = igl.marching_cubes(
         level - winding(grid), np.ascontiguousarray(grid), *map(int, shape), 0.0
     )
@@ -67,8 +76,11 @@ def membranes(
 
 
 def winding_number(vertices: Floats, triangles: Ints, rays: list[RayParity]) -> WindingNumber:
-    """Of a surface as found. Neighbours are turned to agree, patch by patch; a patch is turned
-    outward by what ``rays`` in several directions say of its two sides."""
+    """The winding number of a surface whose triangles may be oriented wrongly.
+
+    Neighbours are first turned to agree, which makes patches. Each patch is then turned outward:
+    ``rays`` in several directions test on which of its sides the inside is.
+    """
     import igl
 
     whole = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
@@ -86,11 +98,11 @@ def winding_number(vertices: Floats, triangles: Ints, rays: list[RayParity]) -> 
     )
     count = int(patch.max()) + 1
     outward = np.bincount(patch[asked], area[asked] * (behind - ahead), minlength=count)
-    # Where rays cannot tell, most of a patch's triangles are taken to be as they were meant.
+    # Where rays do not decide, the orientation of most of the patch's triangles is kept.
     kept = np.where((agreed == single).all(axis=1), area, -area)
     outward = np.where(outward == 0, np.bincount(patch, kept, minlength=count), outward)
     placed = np.where((outward < 0)[patch][:, None], agreed[:, ::-1], agreed)
-    # The same cycle of corners, from whichever corner.
+    # A triangle is unchanged if its corners are in the same cyclic order.
     same = np.any([(np.roll(placed, k, axis=1) == single).all(axis=1) for k in range(3)], axis=0)
     return WindingNumber(
         np.ascontiguousarray(vertices),
@@ -101,7 +113,7 @@ def winding_number(vertices: Floats, triangles: Ints, rays: list[RayParity]) -> 
 
 
 def _spread(patch: Ints, area: Floats) -> Ints:
-    """Of every patch the ASKED largest triangles."""
+    """The ASKED largest triangles of each patch."""
     order = np.lexsort((-area, patch))
     starts = np.searchsorted(patch[order], np.arange(patch.max() + 1))
     rank = np.arange(len(order)) - starts[patch[order]]

@@ -1,4 +1,4 @@
-"""The paper's CVT loss: how far generators are from the centroids of their cells."""
+"""The paper's CVT loss, which measures how far generators are from the centroids of their cells."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...voronoi.diagram.vertices import voronoi_vertices
 
 
 def _touching(count: int) -> Selection:
-    """Every face of the first ``count`` generators once, from the smaller index to the larger."""
+    """Selects every face of the first ``count`` generators once."""
 
     def select(a: Ints, b: Ints) -> NDArray[np.int8]:
         forward = (a < b).astype(np.int8)
@@ -22,10 +22,12 @@ def _touching(count: int) -> Selection:
 
 
 def centroid_offsets(points: torch.Tensor, fixed: torch.Tensor) -> torch.Tensor:
-    """``cbar_i - p_i`` for the cells of ``points (M, 3)`` among themselves and ``fixed (K, 3)``.
+    """The vectors ``cbar_i - p_i (M, 3)`` from generators ``points (M, 3)`` to their cells'
+    centroids.
 
-    ``(M, 3)``, differentiable in ``points`` through the Voronoi vertices (Numerow et al. 2024); the
-    combinatorics are those of the moment. Raises NumericalFailure for an unbounded cell.
+    The diagram is that of ``points`` and ``fixed (K, 3)``. Gradients go through the Voronoi
+    vertices (Numerow et al. 2024), while the connectivity is fixed. Raises NumericalFailure if a
+    cell is unbounded.
     """
     generators, count = torch.cat([points, fixed]), len(points)
     places = generators.detach().numpy()

@@ -1,6 +1,6 @@
-"""Losses of a surface seen by calibrated cameras (paper's appendix A.1): silhouettes, normals.
+"""Losses that compare a surface with views (paper, appendix A.1): silhouettes and normals.
 
-``Silhouettes`` needs no torch; ``ImageLoss`` makes a differentiable function of tensors of it.
+``Silhouettes`` needs no torch. ``ImageLoss`` is a differentiable function of tensors.
 """
 
 from __future__ import annotations
@@ -24,16 +24,19 @@ if TYPE_CHECKING:
     from ...render.views import Views
 
 PIXELS = 256
-"""Along a side of the pictures in which the loss is taken; larger ones are shrunk to about this."""
+"""Approximate width of the pictures in which the loss is computed. Larger ones are shrunk."""
 MASK, NORMAL = 10.0, 1.0
-"""Weights of the two parts in the shape loss."""
+"""Weights of the silhouette loss and of the normal loss."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """``L_mask`` with its derivatives by the vertices ``(V, 3)``, and what ``L_normal`` is linear
-    in: it is ``offset`` less the sum of the products of the triangles' unit normals with ``votes
-    (T, 3)``, for as long as no other triangles are seen."""
+    """``L_mask`` with its derivatives by the vertices ``(V, 3)``, and the coefficients of
+    ``L_normal``.
+
+    ``L_normal`` is ``offset`` minus the sum of the scalar products of the triangles' unit normals
+    and ``votes (T, 3)``, as long as the same triangles are visible.
+    """
 
     mask: float
     mask_gradient: Floats
@@ -42,13 +45,14 @@ class Terms:
 
 
 class Silhouettes:
-    """A closed triangle surface before the cameras of some views."""
+    """A function of a closed triangle surface, for the cameras of some views."""
 
     def __init__(self, views: Views, threads: int) -> None:
         self.views, self.threads = views, threads
 
     def __call__(self, vertices: Floats, triangles: Ints, chosen: Ints) -> Terms:
-        """The terms over the views ``chosen``. Raises NumericalFailure for an open surface."""
+        """The terms over the views ``chosen``. Raises NumericalFailure if the
+        surface is not closed."""
         edges = edge_pairs(triangles)
 
         def one(number: int) -> tuple[float, Floats, Floats, float]:
@@ -70,7 +74,7 @@ class Silhouettes:
     def _one(
         self, number: int, vertices: Floats, triangles: Ints, ends: Ints, sides: Ints
     ) -> tuple[float, Floats, Floats, float]:
-        from ...render import visibility  # loads numba: 90 MB that only pictures need
+        from ...render import visibility  # loads numba, which takes 90 MB that only views need
 
         camera = self.views.cameras[number]
         screen = camera.project(vertices)
@@ -97,8 +101,11 @@ class Silhouettes:
 
 
 def edge_pairs(triangles: Ints) -> tuple[Ints, Ints]:
-    """Edges of a closed surface ``(E, 2)`` and the two triangles of each; an edge in which several
-    sheets meet is there once for each. Raises NumericalFailure where one has no other side."""
+    """The edges ``(E, 2)`` of a closed surface, and the two triangles of each ``(E, 2)``.
+
+    An edge in which several sheets meet appears once for each. Raises NumericalFailure if an edge
+    has only one triangle.
+    """
     count = len(triangles)
     start, end = triangles.reshape(-1), triangles[:, [1, 2, 0]].reshape(-1)
     key = np.minimum(start, end) * (int(triangles.max()) + 1) + np.maximum(start, end)
@@ -111,7 +118,7 @@ def edge_pairs(triangles: Ints) -> tuple[Ints, Ints]:
 
 
 class ImageLoss:
-    """``MASK L_mask + NORMAL L_normal`` of polygons, fanned about their centroids."""
+    """``MASK L_mask + NORMAL L_normal`` of polygons, which become fans about their centroids."""
 
     def __init__(self, views: Views, seed: int, threads: int) -> None:
         factor = max(1, round(max(views.masks.shape[1:]) / PIXELS))
@@ -121,8 +128,8 @@ class ImageLoss:
     def __call__(
         self, vertices: torch.Tensor, frames: Frames, mesh: PolygonMesh, iteration: int
     ) -> torch.Tensor:
-        """Of the polygons of ``mesh`` over ``vertices (V, 3)``, in as many views as are taken in
-        a step, at random."""
+        """The loss of the polygons of ``mesh`` with ``vertices (V, 3)``, in a
+        random choice of views."""
         import torch
 
         count = len(self.silhouettes.views)
@@ -141,13 +148,15 @@ class ImageLoss:
 def image_losses(
     silhouettes: Silhouettes, vertices: torch.Tensor, triangles: Ints, chosen: Ints
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """``L_mask`` and ``L_normal`` of closed ``triangles`` over ``vertices (V, 3)``, differentiable;
-    which triangle a pixel sees, and whether its centre is covered, is taken as fixed."""
+    """``L_mask`` and ``L_normal`` of closed ``triangles`` with ``vertices (V, 3)``, with gradients.
+
+    The gradients treat as fixed which triangle a pixel sees, and whether its centre is covered.
+    """
     import torch
 
     terms = silhouettes(vertices.detach().cpu().numpy(), triangles, chosen)
     slope = torch.as_tensor(terms.mask_gradient, device=vertices.device)
-    # Zero in value, the slope in gradient.
+    # The added term is zero and has the slope as its gradient.
     mask = terms.mask + ((vertices - vertices.detach()) * slope).sum()
     index = torch.as_tensor(triangles, device=vertices.device)
     a, b, c = (vertices.index_select(0, index[:, k]) for k in range(3))

@@ -1,4 +1,4 @@
-"""The three regularisers of the surface (paper's appendix A.2), each a pure function."""
+"""The three regularisation losses of the surface (paper, appendix A.2)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from ...mesh.frames import Connectivity, Frames
 
 
 def normal_consistency(frames: Frames, connectivity: Connectivity) -> torch.Tensor:
-    """``L_normal = mean_f (1 - <n_f, nbar_f>)^2``, nbar_f the unit mean of neighbouring normals."""
+    """``L_normal = mean_f (1 - <n_f, nbar_f>)^2``, where nbar_f is the unit mean of
+    the neighbours' normals."""
     mean = connectivity.neighbour_mean(frames.normal)
     mean = mean / (torch.linalg.vector_norm(mean, dim=1, keepdim=True) + 1e-12)
     deviation = 1 - (frames.normal * mean).sum(1)
@@ -18,13 +19,14 @@ def normal_consistency(frames: Frames, connectivity: Connectivity) -> torch.Tens
 def area_uniformity(frames: Frames) -> torch.Tensor:
     """``L_area = mean_f (A_f - Abar)^2 / Abar``.
 
-    This is an area: it has its meaning in model units, where the voxel edge is 1.
+    Its unit is that of an area, so that its weight is meant for model units, in which h0 is 1.
     """
     mean = frames.area.mean()
     return ((frames.area - mean) ** 2).mean() / mean
 
 
 def centroid_alignment(frames: Frames, connectivity: Connectivity) -> torch.Tensor:
-    """``L_fc = mean_f |c_f - cbar_f|^2 / Abar``, cbar_f the mean of neighbouring centroids."""
+    """``L_fc = mean_f |c_f - cbar_f|^2 / Abar``, where cbar_f is the mean of the
+    neighbours' centroids."""
     mean = connectivity.neighbour_mean(frames.centroid)
     return ((frames.centroid - mean) ** 2).sum(1).mean() / frames.area.mean()

@@ -1,7 +1,7 @@
-"""Shape losses (paper's appendix A.1): how far surface samples lie from the target.
+"""Shape losses (paper, appendix A.1), which measure how far samples of the surface are from the
+shape.
 
-Everything is in model units: lengths divided by the spacing h0, about the grid's origin. The
-paper's division by h0^2 is in that.
+All lengths are in model units, so that they are already divided by h0.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ if TYPE_CHECKING:
     from ...mesh.queries.true_surface import TrueSurface
 
 ON_SURFACE = 1e-6
-"""Distance, in units of h0, below which a sample counts as on the surface."""
+"""Distance in units of h0 below which a sample counts as on the surface."""
 
 NOISY = 0.05
-"""Noise of a point cloud, in units of h0, from which the Chamfer loss is the robust one."""
+"""Noise of a point cloud, in units of h0, above which the Chamfer loss takes points
+of its reconstruction."""
 
 ShapeLoss = Callable[[torch.Tensor, bool], torch.Tensor]
-"""``loss(samples (N, 3), refresh)``: with ``refresh`` cached neighbours are found anew."""
+"""``loss(samples (N, 3), refresh)``. With ``refresh``, cached closest points are found again."""
 
 
 def evaluate(
@@ -40,22 +41,22 @@ def evaluate(
     iteration: int,
     refresh: bool,
 ) -> torch.Tensor:
-    """``loss`` of the polygons of ``mesh`` over ``vertices (V, 3)``."""
+    """The ``loss`` of the polygons of ``mesh`` with ``vertices (V, 3)``."""
     if isinstance(loss, ImageLoss):
         return loss(vertices, frames, mesh, iteration)
     return loss(surface_samples(vertices, frames), refresh)
 
 
 def surface_samples(vertices: torch.Tensor, frames: Frames) -> torch.Tensor:
-    """Face vertices, face centroids and fan-triangle centres, ``(V + F + sum, 3)``."""
+    """Vertices, face centroids and centroids of fan triangles, ``(V + F + sum, 3)``."""
     return torch.cat([vertices, frames.centroid, frames.fan_centres])
 
 
 def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | ImageLoss:
-    """The loss ``kind``: distance, level-set, chamfer, images, or paper for whichever of the last
-    three fits.
+    """The loss of a ``kind``: distance, level-set, chamfer, images or paper.
 
-    Raises UsageError when the input does not have it.
+    ``paper`` is the one of level-set, chamfer and images that fits the input. Raises UsageError if
+    the input does not have what the loss needs.
     """
     from ...inputs.field.source import FieldSource
     from ...inputs.views.source import ViewSource
@@ -84,7 +85,8 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | Im
         source.surface_samples(params.target_samples, context.random("target"))
     )
     if source.noise > NOISY * frame.spacing:
-        # The mean of what lies around a surface is not on it: robustly, its points are.
+        # A surface pulled to noisy points ends beside the true one. The targets are therefore the
+        # closest points on the reconstruction.
         target = context.surface.closest(target)[0]
     return Chamfer(target, context.threads)
 
@@ -92,7 +94,8 @@ def for_source(context: Context, frame: ModelFrame, kind: str) -> ShapeLoss | Im
 class Distance:
     """Mean squared distance of the samples to the true surface.
 
-    Closest points are found anew whenever ``refresh`` is set; in between they are taken as planes.
+    Closest points are found when ``refresh`` is set. In between, the surface is replaced by the
+    planes through them.
     """
 
     def __init__(self, surface: TrueSurface) -> None:
@@ -108,10 +111,10 @@ class Distance:
 def first_order_distance(
     level: Callable[[torch.Tensor], torch.Tensor], frame: ModelFrame
 ) -> ShapeLoss:
-    """``mean (F / |grad F|)^2 / h0^2``: the distance to the surface to first order (Taubin 1994).
+    """``mean (F / |grad F|)^2 / h0^2``, the squared distance to first order (Taubin 1994).
 
-    A field that is flat at its surface, as the heart's is at its tip, hardly holds a surface by
-    its level set; this loss does. Its gradient takes ``|grad F|`` as fixed.
+    A field may be flat at its surface, as the heart's is at its tip. Its level set then hardly
+    pulls a surface, but this loss does. Its gradient treats ``|grad F|`` as fixed.
     """
     origin, spacing = torch.as_tensor(frame.origin), frame.spacing
 
@@ -122,7 +125,7 @@ def first_order_distance(
         steepness = torch.linalg.vector_norm(slope, dim=1).clamp(min=1e-12)
         direction = slope / steepness[:, None]
         distance = value.detach() / steepness / spacing
-        # Zero in value, the direction in gradient: the field is evaluated only once.
+        # This is zero and has the direction as its gradient, so that the field is evaluated once.
         moved = ((samples - samples.detach()) * direction).sum(1)
         return torch.mean((distance + moved) ** 2)
 
@@ -130,7 +133,8 @@ def first_order_distance(
 
 
 def level_set(level: Callable[[torch.Tensor], torch.Tensor], frame: ModelFrame) -> ShapeLoss:
-    """``L_d = mean d(x_i)^2 / h0^2`` for a field with value ``level`` at input coordinates."""
+    """``L_d = mean d(x_i)^2 / h0^2``, for a field with the value ``level`` at
+    coordinates of the input."""
     origin, spacing = torch.as_tensor(frame.origin), frame.spacing
 
     def loss(samples: torch.Tensor, refresh: bool) -> torch.Tensor:
@@ -141,10 +145,10 @@ def level_set(level: Callable[[torch.Tensor], torch.Tensor], frame: ModelFrame) 
 
 
 class Chamfer:
-    """``L_pc``: bidirectional squared Chamfer distance to fixed target points ``(M, 3)``.
+    """``L_pc``: the squared Chamfer distance to fixed target points ``(M, 3)``, in both directions.
 
-    Nearest neighbours are found by KD-trees whenever ``refresh`` is set and kept in between; the
-    gradient treats them as fixed, as is exact wherever the nearest point is unique.
+    Nearest neighbours are found when ``refresh`` is set. The gradient treats them as fixed, which
+    is exact where the nearest point is unique.
     """
 
     def __init__(self, target: Floats, threads: int) -> None:
@@ -174,13 +178,13 @@ class Chamfer:
 
 
 Planes = tuple[torch.Tensor, torch.Tensor]
-"""Unit normals ``(N, 3)`` and offsets ``(N,)`` of planes."""
+"""The unit normals ``(N, 3)`` and offsets ``(N,)`` of planes."""
 
 
 def tangent_planes(surface: TrueSurface, samples: torch.Tensor, normals: Floats | None) -> Planes:
-    """For each sample the plane through its closest surface point, across the way there.
+    """The plane for each sample through its closest surface point, perpendicular to the line to it.
 
-    Raises NumericalFailure when a sample is not finite.
+    Raises NumericalFailure if a sample is not finite.
     """
     here = samples.detach().cpu().numpy()
     if not np.isfinite(here).all():
@@ -188,7 +192,7 @@ def tangent_planes(surface: TrueSurface, samples: torch.Tensor, normals: Floats 
     foot, outward = surface.closest(here, normals)
     way = here - foot
     distance = np.linalg.norm(way, axis=1, keepdims=True)
-    # On the surface the way has no direction; the normal there stands in.
+    # For a sample on the surface the line has no direction; the surface normal replaces it.
     direction = np.where(distance > ON_SURFACE, way / np.maximum(distance, ON_SURFACE), outward)
     offset = (direction * foot).sum(axis=1)
     return (
@@ -198,5 +202,5 @@ def tangent_planes(surface: TrueSurface, samples: torch.Tensor, normals: Floats 
 
 
 def to_planes(samples: torch.Tensor, planes: Planes) -> torch.Tensor:
-    """Signed distances ``(N,)`` of samples to their planes."""
+    """The signed distances ``(N,)`` of samples to their planes."""
     return (samples * planes[0]).sum(1) - planes[1]

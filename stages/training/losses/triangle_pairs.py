@@ -1,8 +1,8 @@
-"""Generator pairs of triangle faces in closed form, and their derivatives.
+"""The pairs of generators of triangles in closed form, and derivatives.
 
-With ``(c_v, r_v)`` free and the pair of a face where its three spheres meet, every sphere passes
-through the generators of its faces by construction; what is left of conformity are inequalities:
-each pair exists, and no other generator is inside a sphere.
+The spheres ``(c_v, r_v)`` are the unknowns. The pair of a face is where its three spheres meet, so
+that every sphere passes through the generators of its faces by construction. What remains for
+conformity are inequalities: each pair must exist, and no other generator may be inside a sphere.
 """
 
 from __future__ import annotations
@@ -14,28 +14,30 @@ import numpy as np
 from ...mesh.polygons import Floats, Ints
 
 FLAT = 1e-6
-"""Volume of the arms from a generator to its centres, over their lengths, below which the generator
-does not follow them."""
+"""A generator is treated as fixed if the vectors from its face's centres to it are nearly coplanar:
+if their triple product, divided by the product of their lengths, is less."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Of every triangle: radical centre ``q (F, 3)``, ``delta_f^2 (F,)`` and normal ``(F, 3)``."""
+    """The radical centre ``q (F, 3)``, ``delta_f^2 (F,)`` and the normal
+    ``(F, 3)`` of every triangle."""
 
     centre: Floats
     square: Floats
     normal: Floats
 
     def points(self, floor: Floats) -> Floats:
-        """Outer, then inner generators ``(2F, 3)``; squares below ``floor (F,)`` are raised."""
+        """The outer, then the inner generators, ``(2F, 3)``. Smaller squares than
+        ``floor (F,)`` are raised."""
         shift = np.sqrt(np.maximum(self.square, floor))[:, None] * self.normal
         return np.concatenate([self.centre + shift, self.centre - shift])
 
 
 def radical_pairs(centres: Floats, radii: Floats, triangles: Ints) -> Pairs:
-    """Where the spheres at the corners of ``triangles (F, 3)`` meet: ``q +- delta n``.
+    """The points ``q +- delta n`` where the spheres at the corners of ``triangles (F, 3)`` meet.
 
-    q is the point of the triangle's plane of equal power to the three spheres, and that power is
+    q is the point in the triangle's plane with equal power to the three spheres. That power is
     ``-delta^2``.
     """
     a, b, c = (centres[triangles[:, k]] for k in range(3))
@@ -56,14 +58,15 @@ def power_gradient(
 ) -> tuple[Ints, Floats]:
     """Derivatives of the powers ``|p - c_v|^2 - r_v^2`` of generators to other spheres.
 
-    Row i: generator ``points[i]`` of a face with corners ``own[i] (3,)`` and sphere ``spheres[i]``.
-    Returns ``(R, 16)`` indices into ``(c_v, r_v)`` laid out as ``(V, 4)`` and the derivatives: a
-    generator stays on its three spheres, ``(p - c_k) (dp - dc_k) = r_k dr_k``; one in the plane of
-    its centres is taken to stay where it is.
+    Row i is about generator ``points[i]`` of a face with corners ``own[i] (3,)``, and about sphere
+    ``spheres[i]``. Returns columns ``(R, 16)``, indices of ``(c_v, r_v)`` stored as ``(V, 4)``, and
+    the derivatives. A generator stays on its three spheres: ``(p - c_k) (dp - dc_k) = r_k dr_k``.
+    One in the plane of its centres is treated as fixed.
     """
     arm = points[:, None] - centres[own]
     away = points - centres[spheres]
-    # The inverse of the arms; none where they lie in a plane, as at a triangle without area.
+    # The inverse of the matrix of arms. There is none if they are coplanar, as for a triangle
+    # without area.
     cross = np.cross(arm[:, [1, 2, 0]], arm[:, [2, 0, 1]])
     volume = np.einsum("ij,ij->i", arm[:, 0], cross[:, 0])
     flat = np.abs(volume) <= FLAT * np.prod(np.linalg.norm(arm, axis=2), axis=1)
@@ -79,18 +82,19 @@ def power_gradient(
 def square_gradient(
     centre: Floats, corners: Ints, centres: Floats, radii: Floats
 ) -> tuple[Ints, Floats]:
-    """Derivatives of ``delta^2`` of faces with radical centres ``centre (R, 3)`` and ``corners
-    (R, 3)``: indices into ``(V, 4)`` and values, ``(R, 12)``.
+    """Derivatives of ``delta^2`` of faces with radical centres ``centre (R, 3)``.
 
-    ``-delta^2`` is the power of q to each of the spheres, hence to their mean by q's barycentric
-    coordinates, which does not change to first order with q.
+    ``corners (R, 3)`` are the corners of the faces. Returns columns, indices of ``(V, 4)``, and
+    values, ``(R, 12)`` each. ``-delta^2`` is the power of q to each of the spheres, and so the mean
+    of these powers with the barycentric coordinates of q as weights. To first order, this mean does
+    not change with q.
     """
     at = centres[corners]
     u, v, w = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0], centre - at[:, 0]
     uu, uv, vv = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, v), (v, v)))
     wu, wv = np.einsum("ij,ij->i", w, u), np.einsum("ij,ij->i", w, v)
     determinant = uu * vv - uv * uv
-    # One without area has no q that could follow its corners.
+    # A triangle without area has no q.
     flat = determinant <= FLAT**2 * uu * vv
     determinant = np.where(flat, np.inf, determinant)
     s, t = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant

@@ -1,1 +1,1 @@
-"""The cells of a bounded Voronoi diagram: generators, polyhedra, sizes, checks."""
+"""Voronoi cells that end at a surface: inner generators, polyhedra, sizes and checks."""

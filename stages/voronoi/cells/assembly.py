@@ -24,11 +24,11 @@ def raw_cells(
     boundary: Boundary,
     added: int = 0,
 ) -> PolyhedralMesh:
-    """The cells of all inside generators ``(N, 3)`` of a diagram, bounded by ``boundary``, whose
-    generators come after the first ``added`` ones.
+    """The cells of all inside generators, bounded by ``boundary``.
 
-    Diagram vertices that are the surface's become the surface's own, to the bit. Raises
-    NumericalFailure when the faces at the boundary are not those of the surface.
+    The first ``added`` of ``generators (N, 3)`` are inner ones; those of the boundary follow.
+    Diagram vertices that are vertices of the surface get exactly its coordinates. Raises
+    NumericalFailure if the faces at the boundary are not those of the surface.
     """
 
     def select(a: Ints, b: Ints) -> NDArray[np.int8]:
@@ -46,7 +46,7 @@ def raw_cells(
     placed = settle(placed, raw, flat & (at == INNER))
     target = np.where(at == INNER, first + np.arange(len(at)), at)
     vertices = np.concatenate([boundary.mesh.vertices, placed])
-    # Ring numbers are of diagram vertices; the reduced rings are over ``vertices``.
+    # Rings have numbers of diagram vertices, and after the reduction those of ``vertices``.
     wide = PolygonMesh(vertices, raw.face_offsets, raw.face_vertices)
     faces, kept = reduce_rings(wide, target)
     pairs = diagram.generators[kept]
@@ -68,8 +68,7 @@ def raw_cells(
 
 
 def _places(pairs: Ints, wanted: Ints) -> Ints | None:
-    """The place of each row of ``wanted (F, 2)`` in ``pairs``; None if the rows are not the
-    same."""
+    """The index in ``pairs`` of each row of ``wanted (F, 2)``; None if the two sets differ."""
     base = 1 + int(max(pairs.max(initial=0), wanted.max(initial=0)))
     keys = [p @ np.array([base, 1]) for p in (pairs, wanted)]
     orders = [np.argsort(key, kind="stable") for key in keys]
@@ -81,8 +80,11 @@ def _places(pairs: Ints, wanted: Ints) -> Ints | None:
 
 
 def contracted(mesh: PolyhedralMesh, target: Ints, vertices: Floats) -> PolyhedralMesh:
-    """The cells after vertices became ``target (V,)``, given as numbers of ``vertices``; faces with
-    less than three corners are removed. The surface's vertices must stay as they are."""
+    """The cells after each vertex is replaced by ``target (V,)``, an index into ``vertices``.
+
+    Faces with fewer than three corners are removed. Vertices of the surface must be their own
+    targets.
+    """
     inner = mesh.neighbour >= 0
     surface = mesh.boundary.with_vertices(vertices[: mesh.surface_vertices])
     wide = PolygonMesh(vertices, mesh.faces.face_offsets, mesh.faces.face_vertices)

@@ -1,4 +1,4 @@
-"""Which vertices of a diagram are vertices of the written surface."""
+"""The surface at which cells end, and the diagram vertices that are vertices of it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ INNER, DROPPED = -1, -2
 
 @dataclass(frozen=True)
 class Boundary:
-    """The surface that cells are to end at, and the inside and the outside generator of its faces.
+    """The surface at which cells end, with the inside and the outside generator of each face.
 
-    ``vertex_of(tetrahedra (T, 4), centres (T, 3))`` gives the surface's vertex at the circumcentre
-    of each, INNER where there is none, DROPPED where the surface was cleaned of it. Generators are
-    numbered among those of the surface; a negative number is one that was added inside.
+    ``vertex_of(tetrahedra (T, 4), centres (T, 3))`` gives the surface vertex at each circumcentre.
+    It gives INNER if there is none, and DROPPED if the clean-up removed the vertex. Generators have
+    their number among those of the surface; inner generators have negative numbers.
     """
 
     mesh: PolygonMesh
@@ -30,12 +30,12 @@ class Boundary:
 
     @classmethod
     def certified(cls, trained: PolygonMesh) -> Boundary:
-        """The boundary of trained faces that conform; face f of F has the generators f (inside) and
-        F + f.
+        """The boundary of F trained faces that conform. Face f has the generators f and F + f.
 
-        All generators of a vertex's faces lie on its sphere and no others do. So a tetrahedron
-        whose generators belong to faces around one vertex has its circumcentre there. Tetrahedra of
-        the two faces at an edge are flat, and stand for either of its ends.
+        All generators of the faces at a vertex lie on its sphere, and no others do. So a
+        tetrahedron has its circumcentre at a vertex if its generators belong to faces at that
+        vertex. The four generators of two faces with a common edge are coplanar; such a flat
+        tetrahedron may represent either end of the edge.
         """
         count = trained.face_count
         number = np.arange(count)
@@ -68,13 +68,12 @@ class Boundary:
         mesh: PolygonMesh,
         within: float,
     ) -> Boundary | None:
-        """The boundary ``mesh`` as written, which the clean-up made of the interface ``raw`` of
-        generators that are ``inside (N,)``; None if vertices or faces differ by more than
-        ``within``.
+        """The boundary ``mesh`` that was written after the clean-up of the interface ``raw``.
 
-        Tetrahedra are recognised by their generators. Where generators on one sphere are divided
-        into other tetrahedra, they are recognised by their centre; flat ones may appear or
-        disappear.
+        ``inside (N,)`` has the labels of the generators. Tetrahedra are recognised by their
+        generators. Generators on one sphere may be divided into tetrahedra in another way; these
+        are recognised by their circumcentres, and flat ones may appear or disappear. Returns None
+        if vertices or faces differ by more than ``within``.
         """
         from scipy.spatial import cKDTree
 
@@ -97,7 +96,7 @@ class Boundary:
 
         def vertex_of(tetrahedra: Ints, centres: Floats) -> Ints:
             result = np.full(len(tetrahedra), INNER, dtype=np.int64)
-            # Generators that were added inside have a negative number.
+            # Inner generators have negative numbers.
             labels = inside[np.maximum(tetrahedra, 0)] | (tetrahedra < 0)
             mixed = np.flatnonzero(~labels.all(axis=1))
             wanted = _rows(tetrahedra[mixed])
@@ -113,14 +112,16 @@ class Boundary:
 
 
 def _matched(cleaned: CleanSurface, number: Ints, mesh: PolygonMesh) -> Ints | None:
-    """The generators of each face of ``mesh``, which has the rings of ``cleaned`` over vertices
-    that there have the ``number (V,)``; None if it has others."""
+    """The generators of each face of ``mesh``; None if its faces are not those of ``cleaned``.
+
+    ``number (V,)`` gives the vertex of ``mesh`` for each vertex of ``cleaned``.
+    """
     ours = PolygonMesh(mesh.vertices, cleaned.mesh.face_offsets, number[cleaned.mesh.face_vertices])
     orders = []
     for one in (ours, mesh):
         corners = from_least(one)
         starts, size = one.face_offsets[:-1], one.valences
-        # The first two corners and the last name a face of a closed surface.
+        # In a closed surface, the first two corners and the last one identify a face.
         orders.append(
             np.lexsort([corners[starts + size - 1], corners[starts + 1], corners[starts]])
         )
@@ -132,7 +133,7 @@ def _matched(cleaned: CleanSurface, number: Ints, mesh: PolygonMesh) -> Ints | N
 
 
 def from_least(mesh: PolygonMesh) -> Ints:
-    """The corners of each face, starting at the one with the smallest number."""
+    """The corners of each face, beginning with the smallest index."""
     order = np.lexsort([mesh.face_vertices, mesh.corner_faces])
     starts, face = mesh.face_offsets[:-1], mesh.corner_faces
     turn = (order[starts] - starts)[face]
@@ -141,8 +142,8 @@ def from_least(mesh: PolygonMesh) -> Ints:
 
 
 def same_rings(first: PolygonMesh, place: Ints, second: PolygonMesh) -> bool:
-    """Whether face ``place[f]`` of ``first`` has the corners of face f of ``second`` in the same
-    cyclic order."""
+    """Whether face ``place[f]`` of ``first`` has the same corners as face f of ``second``, in
+    the same cyclic order."""
     size = second.valences
     if not np.array_equal(first.valences[place], size):
         return False
@@ -152,5 +153,5 @@ def same_rings(first: PolygonMesh, place: Ints, second: PolygonMesh) -> bool:
 
 
 def _rows(tetrahedra: Ints) -> NDArray[np.void]:
-    """One comparable value for each row."""
+    """One comparable value for each tetrahedron."""
     return np.ascontiguousarray(np.sort(tetrahedra, axis=1)).view([("", np.int64)] * 4).reshape(-1)

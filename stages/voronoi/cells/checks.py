@@ -1,4 +1,4 @@
-"""Checks that cells are what a solver expects: closed, simple and solid."""
+"""Checks that solvers need: cells are closed, simply connected, and of positive volume."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from ...mesh.topology import edge_keys
 
 
 def cell_faults(mesh: PolyhedralMesh, points: Floats) -> dict[str, NDArray[np.bool_]]:
-    """For each of six checks which cells ``(C,)`` fail it; ``points (C, 3)`` are near the cells.
+    """The cells ``(C,)`` that fail each of six checks, by the name of the check.
 
-    ``open``: an edge that is not in two of the cell's faces; ``not_spheres``: V - E + F other than
-    2; ``torn_faces``: a face that comes to a vertex twice; ``crossed_faces``: two faces that share
-    vertices which are not one path along both; ``few_faces``: less than four; ``folded``: a
-    tetrahedron from the cell's centroid to a piece of a face has no volume or a negative one.
+    ``open``: an edge is not in exactly two faces of the cell.
+    ``not_spheres``: V - E + F is not 2.
+    ``torn_faces``: a face has a vertex twice.
+    ``crossed_faces``: the vertices that two faces share do not form one path along both.
+    ``few_faces``: the cell has fewer than four faces.
+    ``folded``: a tetrahedron from the cell's centroid to a part of a face has no positive volume.
+
+    ``points (C, 3)`` lie near the cells, which keeps rounding errors small.
     """
     from scipy.sparse import coo_array
 
@@ -49,7 +53,7 @@ def cell_faults(mesh: PolyhedralMesh, points: Floats) -> dict[str, NDArray[np.bo
     other = shared.row < shared.col
     row, column, common = shared.row[other], shared.col[other], shared.data[other]
     lines = np.asarray(along[row, column]).reshape(-1)
-    # A path of k edges has k + 1 points; faces that share all their edges are one face twice.
+    # A path of k edges has k + 1 points. Two faces that share all edges are the same face.
     crossed = common != lines + 1
     return {
         "open": _marked(cells, edge_cell[uses != 2]),

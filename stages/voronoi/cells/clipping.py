@@ -1,10 +1,9 @@
-"""Voronoi cells one by one, each cut out of a box by the bisectors towards its neighbours.
+"""Single Voronoi cells, each cut out of a box by the bisector planes of its neighbours.
 
-A cell is kept as its vertices, each with the three planes that meet there, turning one way: what a
-further plane cuts off is a set of vertices, and each edge between those and the rest gives a new
-vertex. The moments need no faces: from every vertex, edge and face one corner is dropped after the
-other (the feet of the generator on the face's plane and on the edge's line), which gives signed
-tetrahedra that add up to the cell.
+A cell is stored as its vertices, each with the three planes that meet there, in a consistent
+orientation. A further plane cuts off a set of vertices. Each edge between these and the others
+gives a new vertex. Moments need no faces: the feet of the generator on each face's plane and on
+each edge's line, with the generator and the vertex, form signed tetrahedra that add up to the cell.
 """
 
 from __future__ import annotations
@@ -16,11 +15,12 @@ import numpy as np
 from ...compiled import compiled
 
 INCOMPLETE, CROWDED = 1, 2
+"""Values of the status: more neighbours are needed; the cell has more planes than fit."""
 
 
 @compiled
 def _at(grid: Any, origin: Any, spacing: float, x: float, y: float, z: float) -> float:
-    """The value of ``grid`` at a point, linear between nodes and constant beyond."""
+    """The value of ``grid`` at a point, linear between nodes and constant outside of the grid."""
     place = np.empty(3, np.int64)
     share = np.empty(3)
     for axis in range(3):
@@ -56,15 +56,16 @@ def cell_sums(
     sums: Any,
     status: Any,
 ) -> None:  # pragma: no cover
-    """Mass, first moments about the generator and energy of ``cells (M,)``, indices of ``points``.
+    """Compute mass, first moments, energy and volume of ``cells (M,)``, indices of
+    ``points (N, 3)``.
 
-    ``around (M, K)`` are their nearest points, nearest first, themselves excluded. ``sums (M, 6)``
-    gets mass, three moments, energy and volume; the mass is weighted by ``density``, values at the
-    nodes of a grid, or is the volume where that is empty. ``status (M,)`` becomes INCOMPLETE where
-    more neighbours are needed, CROWDED where a cell has more than ``most`` planes, else 0.
+    ``around (M, K)`` has the nearest other points of each cell, nearest first. ``density`` has
+    values at the nodes of a grid; if it is empty, the density is 1. ``sums (M, 6)`` gets mass,
+    three moments about the generator, energy, and volume. ``status (M,)`` becomes INCOMPLETE if a
+    cell needs more neighbours, CROWDED if it has more than ``most`` planes, else 0.
     """
     weighted = density.size > 0
-    room = 2 * most  # A cell has fewer vertices than this when three faces meet at each.
+    room = 2 * most  # With three faces at each vertex, a cell has fewer vertices than this.
     normal = np.empty((most, 3))
     offset = np.empty(most)
     number = np.empty(most, np.int64)
@@ -87,7 +88,7 @@ def cell_sums(
         for corner in range(8):
             i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
             ends[corner, 0], ends[corner, 1], ends[corner, 2] = i, 2 + j, 4 + k
-            if (i + j + k) % 2 == 0:  # an even number of upper sides reverses the order
+            if (i + j + k) % 2 == 0:  # the order is reversed for an even number of upper sides
                 ends[corner, 1], ends[corner, 2] = 4 + k, 2 + j
             place[corner, 0] = offset[1] if i else -offset[0]
             place[corner, 1] = offset[3] if j else -offset[2]
@@ -131,7 +132,7 @@ def cell_sums(
                     ends[kept] = ends[v]
                     place[kept] = place[v]
                     kept += 1
-            if planes == most:  # vertices that were cut off later are reused
+            if planes == most:  # slots of vertices that were cut off are reused
                 number[:] = -1
                 for v in range(kept):
                     for k in range(3):

@@ -1,4 +1,4 @@
-"""The wanted sizes of cells as a function of the distance to the surface."""
+"""Target sizes of cells as a function of the distance to the surface."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ...mesh.queries.projection import ClosestPoint
 from .interior import Guard
 
 NODES = 400_000
-"""Approximate number of nodes of the grid that stores the distance to the surface."""
+"""Approximate number of nodes of the grid on which the distance to the surface is stored."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Values at the nodes ``(X, Y, Z)`` of a grid, linear between them."""
+    """Values at the nodes ``(X, Y, Z)`` of a grid, interpolated linearly."""
 
     values: Floats
     origin: Floats
@@ -27,8 +27,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Wanted sizes of cells (cube roots of their volumes) inside a surface: ``least + growth d`` at
-    depth d, at most ``most``. In model units."""
+    """Target sizes of cells, in model units. A size is the cube root of a volume.
+
+    At depth d below the surface the size is ``least + growth d``, but at most ``most``.
+    """
 
     least: float
     growth: float
@@ -38,25 +40,26 @@ class Sizes:
 
     @cached_property
     def wanted(self) -> Floats:
-        """The wanted sizes at the nodes of the grid."""
+        """The target sizes at the nodes of the grid."""
         return np.minimum(self.least + self.growth * np.maximum(self.depth.values, 0), self.most)
 
     def density(self) -> Grid:
-        """A density whose centroidal tessellation has cells of the wanted sizes, up to a common
+        """A density for which the cells of a centroidal tessellation have the target sizes, up to a
         factor.
 
-        Sizes go as the fifth root of the inverse density (Gersho; Du, Faber and Gunzburger 1999).
+        The size of such cells is proportional to the density to the power -1/5 (Gersho 1979; Du,
+        Faber and Gunzburger 1999).
         """
         values = np.ascontiguousarray((self.wanted / self.wanted.min()) ** -5)
         return Grid(values, self.depth.origin, self.depth.spacing)
 
     def count(self, layer: float) -> float:
-        """The number of cells that fill the part deeper than ``layer``."""
+        """The number of cells of these sizes that fill the part deeper than ``layer``."""
         deep = self.depth.values > layer
         return float((self.wanted[deep] ** -3).sum() * self.depth.spacing**3)
 
     def places(self, random: np.random.Generator, count: int) -> Floats:
-        """Random points ``(count, 3)``, with the density of the wanted cells."""
+        """``count`` random points ``(count, 3)``, as dense as cells of the target sizes."""
         inside = np.flatnonzero(self.depth.values.reshape(-1) > -self.depth.spacing)
         total = np.cumsum(self.wanted.reshape(-1)[inside] ** -3)
         node = inside[np.searchsorted(total, random.random(count) * total[-1], side="right")]
@@ -66,8 +69,8 @@ class Sizes:
 
 
 def depths(surface: PolygonMesh, guard: Guard, threads: int) -> Grid:
-    """Distances to ``surface`` on a grid around it. A node is inside if the nearest generator is
-    inside."""
+    """Distances to ``surface`` on a grid around it, negative where the nearest
+    generator is outside."""
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     spacing = float(np.cbrt(np.prod(high - low) / NODES))
     nodes = [

@@ -1,4 +1,4 @@
-"""Generators deep inside, placed so that the surface stays as it is (paper's appendix C.2)."""
+"""Inner generators, placed so that the surface does not change (paper, appendix C.2)."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ OVERSAMPLING = 3
 INNER_ROUNDS = 50
 OUTER_ROUNDS = 200
 IN_VAIN = 1_000_000
-"""Candidates in a row of which none fits, after which there is no room."""
+"""Number of candidates in a row that do not fit, after which the search ends."""
 BACKTRACKS = 6
 
 
 @dataclass(frozen=True)
 class Guard:
-    """The surface's generators and vertex spheres, which inner generators must keep out of."""
+    """The generators of the surface and the spheres at its vertices. Inner generators must lie
+    outside of these spheres."""
 
     generators: Floats
     inside: NDArray[np.bool_]
@@ -36,7 +37,7 @@ class Guard:
 
     @cached_property
     def within(self) -> Floats:
-        """The inside generators."""
+        """The inside generators of the surface."""
         return self.generators[self.inside]
 
     @cached_property
@@ -47,7 +48,7 @@ class Guard:
 
     @classmethod
     def of(cls, generators: Floats, inside: NDArray[np.bool_], surface: VoronoiSurface) -> Guard:
-        """From a raw interface: each vertex with the sphere through its four generators."""
+        """The guard of an interface. The sphere at a vertex passes through its four generators."""
         sound = surface.flatness >= FLAT
         centres = surface.mesh.vertices[sound]
         first = generators[surface.tetrahedra[sound, 0]]
@@ -55,9 +56,13 @@ class Guard:
 
     @cached_property
     def powers(self) -> tuple[Any, float]:
-        """A tree over the spheres, and the square of a distance: a point is in one of them if it is
-        nearer than that. In a fourth dimension centres are raised by what radii are smaller than
-        the largest, so that the nearest one is that of the smallest power."""
+        """A tree that finds the sphere to which a point has the smallest power, and a squared
+        distance.
+
+        The centres have a fourth coordinate, ``sqrt(R^2 - r^2)`` for the largest radius R. With it,
+        the nearest centre has the smallest power, and a point is in a sphere if the squared
+        distance is below R^2.
+        """
         from scipy.spatial import cKDTree
 
         square = self.radii**2
@@ -66,7 +71,10 @@ class Guard:
         return cKDTree(raised), most
 
     def admits(self, points: Floats, threads: int) -> NDArray[np.bool_]:
-        """Points inside the surface and outside every vertex sphere; they change no face."""
+        """Whether each of ``points (N, 3)`` is inside the surface and outside every sphere.
+
+        Generators at such points do not change the surface.
+        """
         nearest = self.tree.query(points, workers=threads)[1]
         admitted = np.asarray(self.inside[nearest])
         tree, most = self.powers
@@ -76,8 +84,10 @@ class Guard:
         return admitted
 
     def moved(self, points: Floats, step: Floats, threads: int) -> Floats:
-        """``points + step (M, 3)``; a step that would end in a vertex sphere or outside is halved,
-        and given up after a few halvings."""
+        """``points + step (M, 3)``. A step that would end in a sphere or outside is halved.
+
+        After BACKTRACKS halvings the point stays where it is.
+        """
         moved = points + step
         left = np.flatnonzero(~self.admits(moved, threads))
         for halving in range(1, BACKTRACKS + 2):
@@ -90,7 +100,8 @@ class Guard:
         return moved
 
     def touching_outside(self, points: Floats) -> Ints:
-        """Indices of ``points`` whose cell has a face with an outside cell in the full diagram."""
+        """The indices of ``points`` whose cell shares a face with an outside
+        cell in the full diagram."""
         diagram = in_passing(np.concatenate([points, self.generators]))
         outside = np.concatenate([np.zeros(len(points), bool), ~self.inside])
         ends = diagram.corners[:, EDGES].reshape(-1, 2)
@@ -106,11 +117,11 @@ def sample(
     tick: Callable[[int], None],
     places: Callable[[np.random.Generator, int], Floats] | None = None,
 ) -> Floats:
-    """``count`` verified interior generators ``(count, 3)`` (the paper's appendix C.2).
+    """``count`` inner generators ``(count, 3)``, verified in the Voronoi diagram (appendix C.2).
 
-    Batches of candidates from ``places``, by default uniform in the bounding box; those in a vertex
-    sphere go at once, the rest are verified in the Voronoi diagram until none touches an outside
-    cell. Raises InputError when they do not fit.
+    Candidates come in batches from ``places``; the default is uniform in the bounding box. Those in
+    a vertex sphere are dropped at once. Of the others, those whose cells touch an outside cell are
+    dropped until there are none. Raises InputError if so many do not fit.
     """
     low, high = guard.within.min(axis=0), guard.within.max(axis=0)
     found, tried = np.zeros((0, 3)), 0
@@ -125,7 +136,7 @@ def sample(
         for _ in range(INNER_ROUNDS):
             if len(batch) == 0:
                 break
-            # Those found before need no second look: a cell only shrinks as others come.
+            # Earlier ones need no second check: further generators only make their cells smaller.
             offending = guard.touching_outside(batch)
             if len(offending) == 0:
                 break

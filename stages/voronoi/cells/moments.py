@@ -1,5 +1,7 @@
-"""Masses, centroids and energies of some cells of a Voronoi diagram, without computing all of
-it."""
+"""Volumes, centroids and energies of some cells of a Voronoi diagram.
+
+They are computed cell by cell, without the whole diagram.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,20 @@ from ..diagram.delaunay import Floats, Ints
 from .grading import Grid
 
 NEIGHBOURS = 60
-"""Number of nearest points that are used at first; few cells need more."""
+"""Number of nearest points that are used at first. Few cells need more."""
 SLICE = 20_000
 """Number of cells whose neighbours are in memory at the same time."""
 FACES = (128, 1024, 8192)
-"""Sizes of the memory for the faces of a cell; few cells need more than the first."""
+"""Numbers of planes for which memory is reserved, in turn. Few cells need more than the first."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Of M cells: ``mass (M,)`` under the density, ``centroid (M, 3)`` under it, ``energy (M,)``,
-    the integral of density times squared distance to the generator, and ``volume (M,)``."""
+    """Moments of M cells. For the density rho and the generator g of a cell:
+
+    ``mass (M,)`` is the integral of rho, ``centroid (M, 3)`` that of ``rho x`` divided by the mass,
+    ``energy (M,)`` that of ``rho |x - g|^2``, and ``volume (M,)`` that of 1.
+    """
 
     mass: Floats
     centroid: Floats
@@ -35,10 +40,11 @@ class Moments:
 def cell_moments(
     generators: Floats, count: int, density: Grid | None = None, threads: int = 1
 ) -> Moments:
-    """Moments of the cells of the first ``count`` of ``generators (N, 3)``; density None is 1.
+    """Moments of the cells of the first ``count`` of ``generators (N, 3)``.
 
-    The cells are cut from a box around all generators, so unbounded ones end there. Raises
-    NumericalFailure if a generator is not finite or two coincide.
+    Without ``density`` the density is 1. Cells are cut out of a box around all generators, so that
+    unbounded cells end there. Raises NumericalFailure if a generator is not finite, if two
+    coincide, or if a cell has too many faces.
     """
     from scipy.spatial import cKDTree
 

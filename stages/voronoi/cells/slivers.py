@@ -1,4 +1,4 @@
-"""Contract short edges and small faces inside a polyhedral mesh where its cells stay sound."""
+"""Removal of short edges and small faces inside a polyhedral mesh, where cells stay sound."""
 
 from __future__ import annotations
 
@@ -16,29 +16,32 @@ from .assembly import contracted
 from .checks import cell_faults
 
 PASSES = 12
+"""Largest number of passes over all edges."""
 LESS, ATTEMPTS = 0.2, 12
-"""Where a cell would become faulty the tolerance is lowered by the factor, at most so many
-times."""
+"""Where a cell would become faulty, the tolerance is multiplied by the first number, at most as
+often as the second says."""
 
 
 @dataclass(frozen=True)
 class Merged:
-    """Cells without most slivers, and counts of what was done."""
+    """Cells without most of the short edges and small faces."""
 
     mesh: PolyhedralMesh
     contracted_vertices: int
     spared_vertices: int
-    """Vertices with a lower tolerance, because a cell next to them would have become faulty."""
+    """Number of vertices with a lower tolerance, because one of their cells
+    would have become faulty."""
     faults: dict[str, int]
-    """Cells that fail each of the checks."""
+    """Number of cells that fail each check."""
 
 
 def merged(mesh: PolyhedralMesh, tolerance: float, points: Floats) -> Merged:
-    """Contract edges shorter than ``tolerance`` times the smallest cell beside them, and the
-    shortest edge of faces smaller than its square; ``points (C, 3)`` are near the cells.
+    """Contract edges shorter than ``tolerance`` times the size of the smallest cell at them.
 
-    The surface stays. At vertices of cells that would fail a check the tolerance is lowered, until
-    none would.
+    The shortest edge of a face is contracted too if the face is smaller than the square of that
+    length. Vertices of the surface do not move. Where a cell would fail a check, the tolerance is
+    lowered until it does not. ``points (C, 3)`` lie near the cells, which keeps rounding errors
+    small.
     """
     least = tolerance * _vertex_sizes(mesh, np.cbrt(np.maximum(mesh.solids(points)[0], 0)))
     spared = np.zeros(mesh.faces.vertex_count, dtype=bool)
@@ -61,7 +64,7 @@ def merged(mesh: PolyhedralMesh, tolerance: float, points: Floats) -> Merged:
 
 
 def _vertex_sizes(mesh: PolyhedralMesh, cell_size: Floats) -> Floats:
-    """The smallest size of the cells at each vertex."""
+    """The size of the smallest cell at each vertex."""
     face_size = cell_size[mesh.owner]
     inner = mesh.neighbour >= 0
     face_size[inner] = np.minimum(face_size[inner], cell_size[mesh.neighbour[inner]])
@@ -71,7 +74,7 @@ def _vertex_sizes(mesh: PolyhedralMesh, cell_size: Floats) -> Floats:
 
 
 def _touched(mesh: PolyhedralMesh, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Vertices of the marked ``cells``."""
+    """Whether each vertex belongs to one of the marked ``cells (C,)``."""
     face = cells[mesh.owner] | ((mesh.neighbour >= 0) & cells[mesh.neighbour])
     vertices = np.zeros(mesh.faces.vertex_count, dtype=bool)
     vertices[mesh.faces.face_vertices[face[mesh.faces.corner_faces]]] = True
@@ -79,11 +82,11 @@ def _touched(mesh: PolyhedralMesh, cells: NDArray[np.bool_]) -> NDArray[np.bool_
 
 
 def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
-    """The target of each vertex and the positions; ``least (V,)`` is the smallest allowed edge
-    length.
+    """The vertex that replaces each vertex, and the new positions.
 
-    In a pass every vertex moves to the nearest one at the end of an edge that is too short, so that
-    two vertices of the surface are never merged.
+    ``least (V,)`` is the shortest edge that is allowed at each vertex. In one pass a vertex moves
+    to the nearest vertex at the other end of a short edge, so that two vertices of the surface are
+    never merged.
     """
     count, fixed = mesh.faces.vertex_count, mesh.surface_vertices
     target, vertices = np.arange(count), mesh.faces.vertices.copy()
@@ -103,7 +106,7 @@ def _targets(mesh: PolyhedralMesh, least: Floats) -> tuple[Ints, Floats]:
         order = np.lexsort([end, far, start])
         first = order[np.flatnonzero(np.diff(start[order], prepend=-1))]
         groups, group = components(count, np.stack([start[first], end[first]], axis=1))
-        # The smallest number is a vertex of the surface if there is one among them.
+        # Vertices of the surface have the smallest indices, so that they are chosen first.
         chosen = np.full(groups, count, dtype=np.int64)
         np.minimum.at(chosen, group, np.arange(count))
         step = chosen[group]
@@ -134,7 +137,7 @@ def _over(mesh: PolygonMesh, vertices: Floats, target: Ints) -> PolygonMesh:
 def _of_small_faces(
     mesh: PolygonMesh, ends: Ints, length: Floats, least: Floats
 ) -> NDArray[np.bool_]:
-    """The shortest edge of each face whose area is less than the square of the wanted length."""
+    """The shortest edge of each face whose area is less than the square of ``least``."""
     area = face_frames(mesh)[0]
     wanted = np.full(mesh.face_count, np.inf)
     np.minimum.at(wanted, mesh.corner_faces, least[mesh.face_vertices])

@@ -1,1 +1,1 @@
-"""The Voronoi diagram of generators, and the interface between the two kinds of them."""
+"""The Voronoi diagram of generators, and the interface between inside and outside cells."""

@@ -1,7 +1,7 @@
-"""Clean-up of a degenerate interface: flat tetrahedra are dropped, coincident vertices are merged.
+"""Clean-up of a degenerate interface: flat tetrahedra are dropped, coincident vertices merged.
 
-Trained generators are degenerate on purpose, so many tetrahedra of their diagram are flat and many
-circumcentres coincide. Every step is undone where it would open the surface.
+Trained generators are degenerate on purpose. So many tetrahedra of their diagram are flat, and many
+circumcentres coincide. Steps that would open the surface are undone.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from .interface import VoronoiSurface
 from .vertices import FLAT
 
 MERGE = 1e-6
-"""Distance, in units of the spacing, below which neighbouring Voronoi vertices are merged."""
+"""Neighbouring Voronoi vertices at a smaller distance, in units of the spacing, are merged."""
 
 
 @dataclass(frozen=True)
 class CleanSurface:
-    """A closed interface after the clean-up, and counts of what was done."""
+    """A closed interface after the clean-up, and counts of the changes."""
 
     mesh: PolygonMesh
     generators: Ints
@@ -34,12 +34,12 @@ class CleanSurface:
     dropped_faces: int
     kept_degenerate: int
     vertex_sources: Ints
-    """For each vertex of the raw surface, the vertex of ``mesh`` that replaces it; -1 if it was
-    dropped."""
+    """The vertex of ``mesh`` that replaces each vertex of the raw surface, -1 if it was dropped."""
 
 
 def settle(positions: Floats, mesh: PolygonMesh, flat: NDArray[np.bool_]) -> Floats:
-    """Move flat vertices, whose circumcentres are meaningless, to the mean of their neighbours."""
+    """Move vertices of flat tetrahedra, without usable circumcentres, to the
+    mean of their neighbours."""
     if not flat.any():
         return positions
     ends = edges(mesh)
@@ -66,13 +66,12 @@ def clean(
     anchors: Floats | None = None,
     reach: float = 0.0,
 ) -> CleanSurface:
-    """The interface without degenerate pieces, closed whenever ``surface`` is.
+    """The interface without degenerate parts. It is closed if ``surface`` is.
 
-    ``merge`` is in units of ``spacing``. A vertex next to an edge that the clean-up would leave in
-    other than two faces is put back as the diagram has it, until no such edge is left.
-
-    With ``anchors (A, 3)`` all vertices within ``reach`` of the same anchor become one, there: thin
-    faces between polygons that do not quite conform vanish.
+    ``merge`` is in units of ``spacing``. If an edge would be in fewer or more than two faces, the
+    vertices at it are restored, until there is no such edge. With ``anchors (A, 3)``, all vertices
+    within ``reach`` of an anchor move to it and are merged. This removes thin faces between
+    polygons that almost conform.
     """
     raw = surface.mesh
     near: Ints | None = None
@@ -130,8 +129,11 @@ def clean(
 
 
 def _joined(mesh: PolygonMesh, group: Ints) -> tuple[Ints, NDArray[np.bool_]]:
-    """For each vertex the first of those of its ``group (V,)`` that edges within the group lead to,
-    if there is no larger such set in the group, and itself elsewhere; which those are, ``(V,)``."""
+    """For each vertex the one that replaces it, and whether it is merged, ``(V,)`` each.
+
+    Of the vertices of one ``group (V,)``, those in its largest set that is connected by edges are
+    merged into the first of them.
+    """
     count = mesh.vertex_count
     ends = edges(mesh)
     ends = ends[(group[ends[:, 0]] == group[ends[:, 1]]) & (group[ends[:, 0]] >= 0)]
@@ -146,7 +148,7 @@ def _joined(mesh: PolygonMesh, group: Ints) -> tuple[Ints, NDArray[np.bool_]]:
 
 
 def _ring_mates(mesh: PolygonMesh, marked: NDArray[np.bool_]) -> Ints:
-    """Vertices that share a face with a marked one."""
+    """The vertices that share a face with a marked vertex."""
     touched = np.zeros(mesh.face_count, dtype=bool)
     touched[mesh.corner_faces[marked[mesh.face_vertices]]] = True
     return np.unique(mesh.face_vertices[touched[mesh.corner_faces]])

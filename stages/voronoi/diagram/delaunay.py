@@ -1,8 +1,8 @@
 """Delaunay tetrahedra of the generators, by one of several libraries.
 
-scipy (Qhull) is the reference: everything that is written comes from it. Another library may
-compute the diagrams within iterations. Where it fails, scipy computes that diagram, and the failure
-is counted.
+scipy (Qhull) is the reference, and every diagram that is written comes from it. Another library may
+compute the diagrams within iterations. If it fails, scipy computes that diagram, and the failure is
+counted.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Tetrahedra:
-    """Delaunay tetrahedra: ``corners (T, 4)`` generator indices, ascending; ``neighbours (T, 4)``.
+    """Delaunay tetrahedra. ``corners (T, 4)`` are indices of generators, ascending.
 
-    ``neighbours[t, k]`` is the tetrahedron across the facet opposite corner ``k``, -1 on the hull.
+    ``neighbours[t, k]`` is the tetrahedron across the facet opposite corner ``k``, -1 on the convex
+    hull.
     """
 
     corners: Ints
@@ -34,21 +35,19 @@ class Tetrahedra:
 
 
 OVERLAP = 1e-9
-"""Relative excess of the tetrahedra's total volume over that of the hull that counts as
-rounding."""
+"""Tetrahedra overlap if the sum of their volumes exceeds the convex hull's by a larger share."""
 PACKED = 2_000_000
-"""Number of points below which three indices fit into one 64-bit key."""
+"""Number of points below which three indices fit into one key of 64 bits."""
 
 Backend = Callable[[Floats], tuple[Ints, Ints]]
-"""A function from points ``(N, 3)``, finite and at least five, to corners and neighbours in any
-order.
+"""A function from at least five finite points ``(N, 3)`` to corners and neighbours, in any order.
 
-It raises RuntimeError if it fails. Points that are no corner of a tetrahedron are left out.
+It raises RuntimeError if it fails. Points that it leaves out are corners of no tetrahedron.
 """
 
 
 def by_scipy(generators: Floats) -> tuple[Ints, Ints]:
-    """Delaunay tetrahedra by Qhull."""
+    """Delaunay tetrahedra by Qhull. Raises NumericalFailure if it fails."""
     from scipy.spatial import Delaunay, QhullError
 
     try:
@@ -59,10 +58,10 @@ def by_scipy(generators: Floats) -> tuple[Ints, Ints]:
 
 
 def by_shull(generators: Floats) -> tuple[Ints, Ints]:
-    """Delaunay tetrahedra by shull, computed in a child process.
+    """Delaunay tetrahedra by shull, in a child process.
 
-    Raises RuntimeError if they do not fill the convex hull: on degenerate points shull 0.4 may
-    leave overlapping ones.
+    Raises RuntimeError if they do not fill the convex hull: on degenerate points, shull 0.4 may
+    return tetrahedra that overlap.
     """
     from scipy.spatial import ConvexHull
 
@@ -88,10 +87,10 @@ class Use:
     name: str = "scipy"
     diagrams: int = 0
     failures: list[str] = field(default_factory=list)
-    """The reason for each diagram that scipy computed instead."""
+    """The reason of each failure, after which scipy computed the diagram."""
 
     def warning(self) -> str | None:
-        """A warning about the failures, for the manifest."""
+        """A warning for the manifest if there were failures."""
         if not self.failures:
             return None
         return (
@@ -105,7 +104,7 @@ _USED: ContextVar[Use | None] = ContextVar("backend", default=None)
 
 @contextmanager
 def backend(name: str) -> Iterator[Use]:
-    """Use the backend ``name`` within the block. Raises BackendMissing if it is not installed."""
+    """Use the library ``name`` within the block. Raises BackendMissing if it is not installed."""
     from importlib.util import find_spec
 
     if name != "scipy" and find_spec(name) is None:
@@ -124,15 +123,17 @@ def backend(name: str) -> Iterator[Use]:
 def delaunay(generators: Floats) -> Tetrahedra:
     """The Delaunay tetrahedra of ``generators (N, 3)`` by scipy, in a canonical order.
 
-    Raises NumericalFailure for fewer than five points, values that are not finite, and two
-    generators at one place.
+    Raises NumericalFailure if there are fewer than five generators, if one is not finite, or if two
+    coincide.
     """
     return _checked(generators, by_scipy)
 
 
 def in_passing(generators: Floats) -> Tetrahedra:
-    """As ``delaunay``, by the library in use. It is for diagrams that are computed often and not
-    written."""
+    """The same as ``delaunay``, by the library in use.
+
+    It is for diagrams within iterations, which are not written.
+    """
     use = _USED.get() or Use()
     use.diagrams += 1
     if use.name != "scipy":
@@ -155,7 +156,7 @@ def _checked(generators: Floats, method: Backend) -> Tetrahedra:
     corners, neighbours = method(generators)
     present = np.zeros(len(generators), dtype=bool)
     present[corners] = True
-    # Libraries leave out coinciding points.
+    # Libraries leave out points that coincide with others.
     if not present.all() and len(np.unique(generators, axis=0)) < len(generators):
         raise NumericalFailure(
             "two generators coincide, so there is no face between them; change -n a little"
@@ -164,7 +165,8 @@ def _checked(generators: Floats, method: Backend) -> Tetrahedra:
 
 
 def _in_order(corners: Ints, neighbours: Ints, count: int) -> Tetrahedra:
-    """Corners ascending and tetrahedra sorted by them, so that all backends give the same bits."""
+    """The tetrahedra in a canonical order, so that all libraries give the same
+    result to the last bit."""
     place = np.argsort(corners, axis=1)
     corners = np.take_along_axis(corners, place, axis=1)
     if count < PACKED:

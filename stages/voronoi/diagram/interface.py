@@ -1,4 +1,4 @@
-"""The surface of a Voronoi diagram: the faces between inside and outside cells."""
+"""The interface of a Voronoi diagram: the faces between inside and outside cells."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .vertices import circumcentres
 
 @dataclass(frozen=True)
 class VoronoiSurface:
-    """Polygons of a Voronoi diagram and where they come from.
+    """Faces of a Voronoi diagram, and the generators that they come from.
 
-    ``generators (F, 2)`` are the two generators of each face (inside first for an interface),
-    ``tetrahedra (V, 4)`` the four generators of each vertex, ``flatness (V,)`` how far those are
-    from lying in one plane (0 = flat: the position means nothing).
+    ``generators (F, 2)`` are the two generators of each face; in an interface the inside one comes
+    first. ``tetrahedra (V, 4)`` are the four generators of each vertex. ``flatness (V,)`` is 0 if
+    these lie in one plane; the vertex then has no meaningful position.
     """
 
     mesh: PolygonMesh
@@ -31,7 +31,7 @@ class VoronoiSurface:
 
 
 def rings_to_surface(generators: Floats, tetrahedra: Tetrahedra, rings: Rings) -> VoronoiSurface:
-    """Number the tetrahedra that ``rings`` use and place a vertex at each circumcentre."""
+    """The faces ``rings``, with a vertex at the circumcentre of each tetrahedron that they use."""
     mesh, used = ring_mesh(rings)
     corners = tetrahedra.corners[used]
     positions, flatness = circumcentres(generators, corners)
@@ -41,10 +41,10 @@ def rings_to_surface(generators: Floats, tetrahedra: Tetrahedra, rings: Rings) -
 def interface(
     generators: Floats, inside: NDArray[np.bool_], tetrahedra: Tetrahedra | None = None
 ) -> VoronoiSurface:
-    """The raw in/out interface of the diagram of ``generators (N, 3)``, outward normals.
+    """The interface of ``generators (N, 3)`` with labels ``inside (N,)``, with outward normals.
 
-    Closed by construction: an interface edge is a Delaunay triangle with both labels, and exactly
-    two of its three edges join opposite labels.
+    It is closed by construction: an edge of it is dual to a Delaunay triangle with both labels, and
+    exactly two of the three edges of such a triangle join different labels.
     """
     diagram = delaunay(generators) if tetrahedra is None else tetrahedra
     rings = voronoi_rings(generators, diagram, select_interface(inside))
@@ -54,12 +54,11 @@ def interface(
 def without_islands(
     generators: Floats, inside: NDArray[np.bool_], smallest: float
 ) -> tuple[Floats, NDArray[np.bool_], int]:
-    """Remove generators whose only effect are specks: components that enclose less than
-    ``smallest``.
+    """Remove generators that only make components with a volume below ``smallest``.
 
-    A speck in the outside comes from inside generators, a bubble in the inside from outside ones.
-    Both are smaller than the generators can resolve. Returns the remaining generators and labels,
-    and the number of components that were removed.
+    Such a component is a small piece outside that comes from inside generators, or a small bubble
+    inside that comes from outside ones. Both are smaller than the generators can resolve. Returns
+    the remaining generators and labels, and the number of components that were removed.
     """
     gone = 0
     while True:

@@ -1,4 +1,4 @@
-"""Voronoi faces as rings of Delaunay tetrahedra; all faces are found at the same time."""
+"""Voronoi faces as rings of Delaunay tetrahedra around an edge, all found at the same time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...errors import NumericalFailure
 from ...mesh.polygons import PolygonMesh
 from .delaunay import Floats, Ints, Tetrahedra
 
-# The six edges of a tetrahedron, and for each the two corners it does not touch.
+# The six edges of a tetrahedron, and the two corners that are not on each of them.
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 OPPOSITE = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
 EDGE_OF = np.full((4, 4), -1)
@@ -20,13 +20,16 @@ EDGE_OF[EDGES[:, 0], EDGES[:, 1]] = EDGE_OF[EDGES[:, 1], EDGES[:, 0]] = np.arang
 
 
 def _beyond() -> Ints:
-    """What a walk around ``edge`` that leaves opposite of corner ``out`` and enters the next
-    tetrahedron opposite of its corner ``into`` does there, by ``[out, into, edge]``: twice the
-    number of the edge there and the side it leaves on. Corners are ascending in both."""
+    """The table ``[out, into, edge]`` of steps from one tetrahedron to the next around an edge.
+
+    The step leaves a tetrahedron opposite its corner ``out`` and enters the next one opposite its
+    corner ``into``. The entry is twice the number of the edge in the next tetrahedron, plus the
+    side on which the walk leaves that one. Corners are ascending in both.
+    """
     table = np.full((4, 4, 6), -1)
     for out in range(4):
         for into in range(4):
-            # The three corners of the shared triangle, here and there.
+            # The three corners of the shared triangle, in both tetrahedra.
             rest = [np.delete(np.arange(4), corner) for corner in (out, into)]
             there = dict(zip(*rest, strict=True))
             for edge in np.flatnonzero(np.all(out != EDGES, axis=1)):
@@ -37,18 +40,18 @@ def _beyond() -> Ints:
 
 BEYOND = _beyond()
 THIN = 1e-6
-"""Six volumes of a tetrahedron divided by the cube of an edge, below which its orientation is not
-reliable."""
+"""The orientation of a tetrahedron is not reliable if six times its volume, divided by the cube of
+an edge, is less than this."""
 
 Selection = Callable[[Ints, Ints], NDArray[np.int8]]
 
 
 @dataclass(frozen=True)
 class Rings:
-    """Voronoi faces: ``generators (F, 2)`` and the tetrahedra around each in compressed rows.
+    """Voronoi faces: ``generators (F, 2)``, and the tetrahedra around each face in compressed rows.
 
-    The ring is counter-clockwise seen from the second generator, so that the face's normal points
-    from the first to the second.
+    A ring is counter-clockwise seen from the second generator, so that the normal of the face
+    points from the first to the second.
     """
 
     generators: Ints
@@ -57,16 +60,15 @@ class Rings:
 
 
 def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection) -> Rings:
-    """The Voronoi faces of the Delaunay edges that ``select`` names.
+    """The Voronoi faces of the Delaunay edges that ``select`` chooses, sorted by their pair.
 
-    ``select(a, b)`` gets arrays of generator indices and returns 1 where the face from a to b is
-    wanted, -1 where it is wanted from b to a, 0 where it is not. Faces come sorted by their pair.
-
-    Raises NumericalFailure when a wanted face is unbounded (its edge lies on the convex hull) or
-    the triangulation is inconsistent around an edge.
+    ``select(a, b)`` gets arrays of generator indices. It returns 1 where the face from a to b is
+    wanted, -1 where the face from b to a is, and 0 where none is. Raises NumericalFailure if a
+    wanted face is unbounded, because its edge lies on the convex hull, or if the tetrahedra around
+    an edge do not form a ring.
     """
     wanted = select(tetrahedra.corners[:, EDGES[:, 0]], tetrahedra.corners[:, EDGES[:, 1]])
-    # From here on, tetrahedra are numbered among those with a wanted edge.
+    # From here on, only tetrahedra with a wanted edge are numbered.
     used = np.flatnonzero(wanted.any(axis=1))
     wanted, corners = wanted[used], tetrahedra.corners[used]
     number = np.full(len(tetrahedra.corners) + 1, -1)
@@ -81,7 +83,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
     incidence = np.full(wanted.shape, -1, dtype=np.int64)
     incidence[tet, edge] = np.arange(len(tet))
 
-    # State (incidence, side): leave the tetrahedron opposite its corner OPPOSITE[edge, side].
+    # The walk at (incidence, side) leaves the tetrahedron opposite its corner OPPOSITE[edge, side].
     back = (neighbours[neighbours] == np.arange(len(used))[:, None, None]).argmax(axis=2)
     leaving = np.empty((len(tet), 2), dtype=np.int64)
     for side in (0, 1):
@@ -113,8 +115,8 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         )
 
     def wedges(walk: Ints) -> tuple[Floats, NDArray[np.bool_]]:
-        """Six times the volumes that states turn by about first -> second (tetrahedra come without
-        orientation), and which of them say nothing."""
+        """Six times the signed volumes by which steps turn about the edge, and whether they are too
+        flat to tell. Tetrahedra come without orientation."""
         at, turned = walk >> 1, walk & 1
         base = generators[first[at]]
         ahead, left, right = (
@@ -129,7 +131,7 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
         flat = np.abs(volume) < THIN * np.einsum("ij,ij->i", ahead, ahead) ** 1.5
         return np.where(turned == 0, volume, -volume), flat
 
-    # One reliable wedge gives the sense of a ring; if it is flat, all wedges decide.
+    # The first tetrahedron gives the direction of its ring. If it is too flat, the sum of all does.
     sense, unsure = wedges(walked[starts])
     ring = np.repeat(np.arange(len(starts)), valence)
     asked = unsure[ring]
@@ -145,15 +147,15 @@ def voronoi_rings(generators: Floats, tetrahedra: Tetrahedra, select: Selection)
 
 
 def select_interface(inside: NDArray[np.bool_]) -> Selection:
-    """Edges from an inside to an outside generator."""
+    """Selects the edges from an inside to an outside generator."""
     labels = inside.astype(np.int8)
     return lambda a, b: (labels[a] - labels[b]).astype(np.int8)
 
 
 def ring_mesh(rings: Rings) -> tuple[PolygonMesh, Ints]:
-    """The polygons of ``rings`` with tetrahedra numbered from 0, and the tetrahedron of each.
+    """The polygons of ``rings`` over numbered tetrahedra, and the tetrahedron of each number.
 
-    The vertices are not placed yet: all at the origin.
+    All vertices are still at the origin.
     """
     present = np.zeros(rings.tetrahedra.max(initial=-1) + 1, dtype=bool)
     present[rings.tetrahedra] = True

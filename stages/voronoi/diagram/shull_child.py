@@ -1,6 +1,6 @@
 """Delaunay tetrahedra by shull, which is under the GPL.
 
-Only the child process that this module starts imports it.
+Only the child process that this module starts imports shull.
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 HEADER = 8
-"""Format of a count; -1 announces an error message."""
+"""Size of a count in bytes. A count of -1 announces an error message."""
 
 _CHILD: list[subprocess.Popen[bytes]] = []
 
 
 def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Corners and neighbours ``(T, 4)`` of the tetrahedra of ``points (N, 3)``; the child serves
-    the next call too.
+    """Corners and neighbours ``(T, 4)`` of the tetrahedra of ``points (N, 3)``.
 
-    Raises RuntimeError if shull fails or ends.
+    The child process is kept for the next call. Raises RuntimeError if shull fails or ends.
     """
     child = _CHILD.pop() if _CHILD else _started()
     assert child.stdin is not None
@@ -35,8 +34,8 @@ def tetrahedra(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[
     except (EOFError, OSError) as error:
         child.kill()
         raise RuntimeError(f"shull ended with {child.wait()}") from error
-    # Keep the child only now: after an answer that was read in part, the next call would get the
-    # rest.
+    # The child is kept only after a whole answer was read; otherwise the next call would read the
+    # rest of this one.
     _CHILD.append(child)
     if count < 0:
         raise RuntimeError(answer[0].decode())
@@ -65,7 +64,7 @@ def _count(pipe: IO[bytes]) -> int:
 
 
 def _read(pipe: IO[bytes], size: int) -> bytes:
-    """Raises EOFError if the other side ends first."""
+    """Exactly ``size`` bytes. Raises EOFError if the other process ends before that."""
     found = pipe.read(size)
     if len(found) < size:
         raise EOFError

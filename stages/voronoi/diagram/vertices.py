@@ -1,4 +1,4 @@
-"""Voronoi vertices: circumcentres of tetrahedra, in closed form and differentiable."""
+"""Voronoi vertices: circumcentres of tetrahedra, in closed form and with gradients."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 FLAT = 1e-9
-"""``|det| / Lmax^3`` below which a tetrahedron has no usable circumcentre."""
+"""A tetrahedron with a smaller ``|det| / Lmax^3`` has no usable circumcentre."""
 
 
 def circumcentres(generators: Floats, tetrahedra: Ints) -> tuple[Floats, Floats]:
     """Circumcentres ``(T, 3)`` and flatness ``|det| / Lmax^3 (T,)`` of ``tetrahedra (T, 4)``.
 
-    The corners are taken in ascending order, so one tetrahedron gives the same bits in every
-    diagram it appears in. A flat one gets the mean of its corners.
+    Corners are taken in ascending order, so that a tetrahedron has the same circumcentre, to the
+    last bit, in every diagram. A flat tetrahedron gets the mean of its corners.
     """
     corners = generators[np.sort(tetrahedra, axis=1)]
     base = corners[:, 0]
@@ -40,12 +40,12 @@ def circumcentres(generators: Floats, tetrahedra: Ints) -> tuple[Floats, Floats]
 
 
 def voronoi_vertices(generators: torch.Tensor, tetrahedra: torch.Tensor) -> torch.Tensor:
-    """Circumcentres ``(T, 3)``, differentiable in ``generators (N, 3)``.
+    """Circumcentres ``(T, 3)`` with gradients by ``generators (N, 3)``.
 
-    Solves ``A v = b / 2`` (paper's appendix, after Numerow et al. 2024). Differentiating
-    ``|x_i - v|^2 = |x_0 - v|^2`` gives ``A dv = ((x_i - v) dx_i - (x_0 - v) dx_0)_i``, so with
+    Solves ``A v = b / 2`` (paper, appendix C.1, after Numerow et al. 2024). Differentiating
+    ``|x_i - v|^2 = |x_0 - v|^2`` gives ``A dv = ((x_i - v) dx_i - (x_0 - v) dx_0)_i``. So with
     ``A^T u = dL/dv`` the gradients are ``u_i (x_i - v)`` and ``-(sum u)(x_0 - v)``. A flat
-    tetrahedron, which has no circumcentre, gives the mean of its corners and no gradient.
+    tetrahedron has no circumcentre: it gives the mean of its corners and no gradient.
     """
     result: torch.Tensor = _circumcentre_function().apply(generators, tetrahedra)
     return result

@@ -1,1 +1,1 @@
-"""The first generators, from the voxels of a shape."""
+"""The first generators, placed from the voxels of a shape."""

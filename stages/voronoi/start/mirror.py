@@ -1,4 +1,4 @@
-"""The first generators where the true surface is known: pairs mirrored in it."""
+"""The first generators for shapes whose true surface is known: pairs mirrored across it."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from ...mesh.queries.true_surface import TrueSurface
 from ...remesh.length_field import THINNEST, LengthField, thickness
 
 BAND = 3
-"""Layers of cells on either side of the boundary of the interior voxels."""
+"""Number of layers of cells on each side of the boundary of the interior voxels."""
 MIRRORED = 1.2
-"""Distance to the surface, in cell edges, up to which a generator gets a mirror image."""
+"""Largest distance to the surface, in cell edges, of a generator that is mirrored."""
 NEAREST = 0.02
-"""Distance, in cell edges, below which a place is too close to the surface to be mirrored."""
+"""Smallest distance to the surface, in cell edges, of a generator that is mirrored."""
 HALVINGS = 6
-"""How often a pair is moved closer to the surface to fit into a thin part."""
+"""Number of times that a pair is moved closer to the surface to fit into a thin part."""
 FINER = 0.75
-"""A cell is divided if its wanted edge is less than this share of its edge."""
+"""A cell is divided if the target edge is less than this share of its edge."""
 ALONE = 0.7
-"""A mirror image must have no other piece of surface within this share of its distance."""
+"""A mirror image must have no other part of the surface within this share of its distance."""
 JITTER = 1e-3
-"""Standard deviation of the shifts of cell centres off their lattice, in cell edges, and of mirror
-images off their plane, as a share of their distance to it."""
+"""Standard deviation of random shifts. Cell centres are shifted by this share of a cell edge,
+mirror images by this share of their distance to the surface."""
 FAR = 60
-"""Number of generators far outside, which bound the diagram."""
+"""Number of outside generators far away, which bound the diagram."""
 
 
 def mirrored(
     surface: TrueSurface, interior: NDArray[np.bool_], levels: int, random: np.random.Generator
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Generators ``(N, 3)`` in model units and which are inside.
+    """The first generators ``(N, 3)`` in model units, and whether each is inside, ``(N,)``.
 
-    The centres of the voxels around the boundary of ``interior`` (model units: the voxel edge is 1)
-    come with their mirror image in the true surface, so that the surface passes where it should
-    from the start. Where the shape or a gap is thinner than a voxel, cells are divided up to
-    ``levels`` times. Centres further away carry their label only.
+    The centres of the voxels around the boundary of ``interior`` are mirrored across the true
+    surface, so that the interface passes close to the surface from the start. In model units, the
+    edge of a voxel is 1. Where the shape or a gap is thinner than a voxel, cells are divided up to
+    ``levels`` times. Centres further away are not mirrored.
     """
     from scipy.ndimage import binary_dilation
 
@@ -61,8 +61,8 @@ def mirrored(
     offset, fits = _fitted(surface, foot, direction, distance[pair], within)
     shift = offset[fits, None] * direction[fits]
     here, there, label = foot[fits] + shift, foot[fits] - shift, within[fits]
-    # Any two pairs mirrored in one plane lie on a circle, and three on a sphere: a tetrahedron of
-    # two pairs would be flat, its circumcentre a matter of rounding.
+    # Two pairs that are mirrored across one plane lie on a circle, three on a sphere. A tetrahedron
+    # of two pairs would be flat, and rounding would decide its circumcentre.
     there += JITTER * offset[fits, None] * random.standard_normal(there.shape)
     fill = places[deep]
     far = _far_away(places)
@@ -74,7 +74,7 @@ def mirrored(
 def _divided(
     places: Floats, edge: Floats, surface: TrueSurface, wanted: LengthField
 ) -> tuple[Floats, Floats]:
-    """The cells, where those near a thin part are replaced by their eight parts."""
+    """The cells, of which those near a thin part are replaced by their eight octants."""
     foot, _ = surface.closest(places)
     split = wanted(foot) < FINER * edge
     split &= np.linalg.norm(places - foot, axis=1) < (MIRRORED + 0.9) * edge
@@ -93,8 +93,8 @@ def _fitted(
     distance: Floats,
     within: NDArray[np.bool_],
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Offsets ``(N,)`` at which both points of a pair are on the right side, and whether there is
-    one."""
+    """Offsets ``(N,)`` at which both points of a pair are on their own sides,
+    and where there is one."""
     offset, fits = distance.copy(), np.zeros(len(foot), dtype=bool)
     left = np.arange(len(foot))
     for _ in range(HALVINGS):
@@ -112,7 +112,7 @@ def _fitted(
 
 
 def _far_away(places: Floats) -> Floats:
-    """Points in all directions at the distance of the diagonal, on a spiral over a sphere."""
+    """Points in all directions on a sphere with the diagonal as radius, along a spiral."""
     low, high = places.min(axis=0), places.max(axis=0)
     height = np.linspace(-0.98, 0.98, FAR)
     angle = np.arange(FAR) * np.pi * (3 - np.sqrt(5))

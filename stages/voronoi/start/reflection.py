@@ -1,4 +1,4 @@
-"""Boundary reflection: where the first generators go (paper's appendix C.1)."""
+"""The first generators of the paper, by reflection at the boundary (appendix C.1)."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..diagram.delaunay import Floats
 from ..diagram.interface import interface
 
 SMOOTHING = 1.5
-"""Sigma of the Gaussian that smooths the distance before normals are taken, in voxels."""
+"""Standard deviation of the Gaussian that smooths the distance before its gradient, in voxels."""
 
 
 def signed_distance(interior: NDArray[np.bool_]) -> Floats:
-    """Euclidean distance to the faces of the interior voxels, in voxels, positive outside."""
+    """Euclidean distance to the interior voxels' faces, in voxels, positive outside."""
     from scipy.ndimage import distance_transform_edt
 
     outside = distance_transform_edt(~interior)
@@ -24,14 +24,14 @@ def signed_distance(interior: NDArray[np.bool_]) -> Floats:
 
 
 def reflect(grid: VoxelGrid) -> tuple[Floats, NDArray[np.bool_]]:
-    """Generators ``(N, 3)`` and which are inside: voxel centres of the exterior band, and their
-    mirror images ``g_ext - 2 delta n(g_ext)`` that fall into interior voxels.
+    """The first generators ``(N, 3)`` of the paper, and whether each is inside, ``(N,)``.
 
-    Generators of either label whose cell does not touch one of the other label are left out: they
-    do not change the surface (the paper drops the interior ones only), and the lattice they would
-    stay on is the slowest input a Delaunay code can get.
-
-    Raises InputError when no generator falls inside.
+    Outside generators ``g_ext`` are voxel centres of the exterior band. Inside generators are their
+    mirror images ``g_ext - 2 delta n(g_ext)`` that fall into interior voxels (equation 1).
+    Generators whose cells do not touch a cell of the other label are left out, since they do not
+    change the surface. The paper leaves out the inside ones only; but outside ones stay on a
+    lattice, which is the slowest input for a Delaunay code. Raises InputError if no generator falls
+    inside.
     """
     from scipy.ndimage import gaussian_filter
 
