@@ -24,6 +24,7 @@ from vorolight.stages.mesh.queries.true_surface import TrueSurface
 from vorolight.stages.mesh.topology import topology
 from vorolight.stages.remesh.embedding import kept_embedded
 from vorolight.stages.remesh.length_field import LengthField, thickness
+from vorolight.stages.remesh.operations import split_long
 from vorolight.stages.remesh.remeshing import remesh, thin_out
 from vorolight.stages.remesh.sheets import draw_back, part
 from vorolight.stages.training.repair import rounded
@@ -209,6 +210,22 @@ def test_a_neck_that_is_too_thin_is_made_as_thick_as_its_edges_are_long() -> Non
     facts = topology(PolygonMesh.of_triangles(mesh.vertices, mesh.triangles))
     assert (facts.euler_number, facts.components) == (2, 1)
     assert len(self_intersections(mesh.vertices, mesh.triangles)) == 0
+
+
+def test_no_large_triangle_stays_beside_the_small_ones_of_a_place_made_round() -> None:
+    vertices, triangles = sphere_mesh(1.0, 2)
+    mesh = Sized(vertices, triangles, np.where(vertices[:, 2] > 0.8, 0.05, 0.3))
+    split_long(mesh)
+    finer = rounded(mesh, mesh.vertices[:, 2] > 0.8)
+    table = EdgeTable.of(mesh.triangles)
+    lengths = table.lengths(mesh.vertices)
+    longest, shortest = np.zeros(len(mesh.vertices)), np.full(len(mesh.vertices), np.inf)
+    np.maximum.at(longest, table.ends, lengths[:, None])
+    np.minimum.at(shortest, table.ends, lengths[:, None])
+    # Edges are between 0.6 and 4 / 3 target lengths, which grow by less than half over an edge.
+    assert (longest / shortest).max() < 1.5 * (4 / 3) / 0.6
+    assert finer[mesh.vertices[:, 2] > 0.8].all()
+    assert not finer[mesh.vertices[:, 2] < 0].any()
 
 
 def test_thickness_of_a_shell_and_of_a_ball() -> None:

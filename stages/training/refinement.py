@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..mesh.edge_table import EdgeTable
 from ..mesh.polygons import Floats, Ints
 from ..remesh.fitting import vertex_errors
 from .repair import divided, graded_down
@@ -65,7 +66,8 @@ def _shorter(spheres: Spheres, far: Floats, over: Ints, bound: float) -> Floats:
     """
     wanted = spheres.lengths.copy()
     wanted[over] *= np.clip(np.sqrt(SHARE * bound / far[over]), SHORTEST, LONGEST)
-    return graded_down(spheres, wanted)
+    table = EdgeTable.of(spheres.triangles)
+    return graded_down(spheres.centres, table, spheres.lengths, wanted)
 
 
 def _added(spheres: Spheres, wanted: Floats) -> float:

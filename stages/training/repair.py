@@ -81,7 +81,8 @@ def mended(
             draw_back(mesh, loose)
         part(mesh, loose)
     if oldest.any():
-        rounded(mesh, rings_around(triangles, oldest, 1))
+        finer = rounded(mesh, rings_around(triangles, oldest, 1))
+        mesh.carried[finer, -2:] = 1
     _contract(mesh, SHORT, mesh.carried[:, -2] > 0)
     unfold(mesh, surface)
     near, free = (mesh.carried[:, -2:] > 0).T
@@ -93,11 +94,12 @@ def mended(
     return Spheres.of_mesh(mesh), free
 
 
-def rounded(mesh: Sized, where: NDArray[np.bool_]) -> None:
+def rounded(mesh: Sized, where: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Make the surface at ``where (V,)`` round, and as thick as its edges are long.
 
-    Places that are too sharp or too thin for spheres become blunt. Triangles become even, and the
-    topology is kept.
+    Places that are too sharp or too thin for spheres become blunt. Triangles become even, also
+    around these places if they are larger than GRADATION allows. The topology is kept. Returns
+    which vertices have new target lengths, ``(V,)``.
     """
     table, own = EdgeTable.of(mesh.triangles), mesh.length
     length, longest = edge_lengths(mesh.vertices, mesh.triangles), own.copy()
@@ -107,18 +109,25 @@ def rounded(mesh: Sized, where: NDArray[np.bool_]) -> None:
         for here, there in (table.ends.T, table.ends[:, ::-1].T):
             np.minimum.at(least, here, length[there])
         length = least
-    # Elsewhere the target length is that of the longest edge, so that no edge is split.
-    mesh.length = np.where(where, np.maximum(length, FINEST), longest)
-    mesh.carried = np.concatenate([mesh.carried, where[:, None], own[:, None]], axis=1)
+    # Elsewhere the target length is that of the longest edge, so that no edge is split, unless
+    # shorter edges are close: a large triangle beside small ones would have intruders.
+    present = np.where(where, np.inf, longest)
+    wanted = np.where(where, np.maximum(length, FINEST), longest)
+    mesh.length = graded_down(mesh.vertices, table, present, wanted)
+    finer = mesh.length < CHANGED * present
+    marks = np.stack([where, finer, own], axis=1)
+    mesh.carried = np.concatenate([mesh.carried, marks], axis=1)
     for _ in range(ROUNDINGS):
-        where = mesh.carried[:, -2] > 0
+        where = mesh.carried[:, -3] > 0
         smooth(mesh, where)
         part(mesh, where)
         split_long(mesh)
         _contract(mesh, CONTRACTED, mesh.carried[:, -2] > 0)
         _flip(mesh, delaunay_gain, mesh.carried[:, -2] > 0)
-    mesh.length = np.where(mesh.carried[:, -2] > 0, mesh.length, mesh.carried[:, -1])
-    mesh.carried = mesh.carried[:, :-2]
+    finer, own = mesh.carried[:, -2] > 0, mesh.carried[:, -1]
+    mesh.length = np.where(finer, mesh.length, own)
+    mesh.carried = mesh.carried[:, :-3]
+    return np.asarray(finer)
 
 
 def _contract(mesh: Sized, factor: float, where: NDArray[np.bool_]) -> None:
@@ -139,18 +148,17 @@ def within(where: NDArray[np.bool_], gain: Gain) -> Gain:
     return value
 
 
-def graded_down(spheres: Spheres, wanted: Floats) -> Floats:
-    """``wanted (V,)`` lengths, made shorter around those that are shorter than the present ones.
+def graded_down(vertices: Floats, table: EdgeTable, present: Floats, wanted: Floats) -> Floats:
+    """``wanted (V,)`` lengths, made shorter around those that are below the ``present`` ones.
 
     Lengths then grow by at most GRADATION.
     """
     wanted = wanted.copy()
-    table = EdgeTable.of(spheres.triangles)
-    (a, b), rise = table.ends.T, GRADATION * table.lengths(spheres.centres)
+    (a, b), rise = table.ends.T, GRADATION * table.lengths(vertices)
     while True:
         before = wanted.copy()
         # Only vertices whose length changes have an effect on others.
-        source = np.where(wanted < CHANGED * spheres.lengths, wanted, np.inf)
+        source = np.where(wanted < CHANGED * present, wanted, np.inf)
         np.minimum.at(wanted, a, source[b] + rise)
         np.minimum.at(wanted, b, source[a] + rise)
         if (wanted > CHANGED * before).all():
