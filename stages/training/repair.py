@@ -81,7 +81,7 @@ def mended(
             draw_back(mesh, loose)
         part(mesh, loose)
     if oldest.any():
-        finer = rounded(mesh, rings_around(triangles, oldest, 1))
+        finer = rounded(mesh, oldest)
         mesh.carried[finer, -2:] = 1
     _contract(mesh, SHORT, mesh.carried[:, -2] > 0)
     unfold(mesh, surface)
