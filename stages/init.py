@@ -291,7 +291,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="init",
-    version=6,
+    version=7,
     params=Params,
     run=run,
     parents=lambda params: ("classify",),

@@ -258,7 +258,7 @@ def _memory(context: Context) -> float:
 
 STAGE = Stage(
     name="sphere-train",
-    version=16,
+    version=17,
     params=Params,
     run=run,
     parents=lambda params: ("classify", "init"),

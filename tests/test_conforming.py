@@ -36,7 +36,7 @@ from vorolight.stages.solvers.gauss_newton import descend, first_damping
 from vorolight.stages.training import conforming as conforming_training
 from vorolight.stages.training.losses import triangle_pairs as conforming
 from vorolight.stages.training.sphere_problem import SphereProblem
-from vorolight.stages.training.spheres import Spheres
+from vorolight.stages.training.spheres import Spheres, rings_around
 
 
 def test_pairs_lie_on_the_three_spheres_of_their_face() -> None:
@@ -121,6 +121,29 @@ def test_a_triangle_without_area_stalls_nothing(tmp_path: Path) -> None:
     _, losses, damping = descend(problem, spheres, [1.0] * 6, first_damping(42))
     assert losses[-1].sum() < 0.5 * losses[0].sum()
     assert np.median(damping) < 1
+
+
+def test_a_local_problem_takes_the_steps_of_the_whole_one(tmp_path: Path) -> None:
+    # The sheets are so close that generators of either lie in spheres of the other.
+    vertices, triangles = sphere_mesh(1.0, 3)
+    vertices = vertices * [1, 1, 0.08]
+    surface = surface_of(tmp_path / "lens.ply", (1.02 * vertices, triangles))
+    spheres = Spheres.at(Sized(vertices, triangles, np.ones(len(vertices))))
+    free = rings_around(triangles, vertices[:, 2] == vertices[:, 2].max(), 2)
+    assert (spheres.intrusion(1)[free] > 0).any()
+    found = []
+    for local in (False, True):
+        problem = SphereProblem(spheres, surface, None, WEIGHTS, free, 1, local)
+        damping = first_damping(len(problem.vertices))
+        part, _, _ = descend(problem, problem.start, [1.0] * 3, damping)
+        found.append((spheres.with_part(problem.vertices, part), len(problem.vertices)))
+    (whole, everything), (near, few) = found
+    assert few < 0.5 * everything
+    assert (whole.centres[free] != vertices[free]).any(axis=1).all()
+    assert (near.centres[~free] == vertices[~free]).all()
+    # The sums are those of the same numbers in another order.
+    assert near.centres == pytest.approx(whole.centres, abs=1e-6)
+    assert near.radii == pytest.approx(whole.radii, abs=1e-6)
 
 
 def test_a_triangle_as_good_as_flat_pulls_at_nothing(tmp_path: Path) -> None:

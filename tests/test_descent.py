@@ -19,7 +19,7 @@ from vorolight.stages.solvers.least_squares import (
 class Cliffs:
     """``(x - 3)^2`` for each of the unknowns, up to a point beyond which it has no finite value."""
 
-    count, units, threads = 1, None, 1
+    count, width, units, threads = 1, 1, None, 1
 
     def __init__(self, *edges: float) -> None:
         self.edges = np.array(edges)
@@ -89,7 +89,7 @@ def test_conjugate_gradients_do_not_stop_when_the_steepest_unknown_is_found() ->
     dense[block.rows, block.columns] = block.values
     matrix, right = dense.T @ dense, -dense.T @ block.residual
     inverse = 1 / matrix.diagonal()
-    found = conjugate_gradients(lambda x: matrix @ x, right, inverse)
+    found = conjugate_gradients(lambda x: matrix @ x, right, lambda x: inverse * x)
     rest = right - matrix @ found
     assert rest @ (inverse * rest) <= 1.01 * TOLERANCE**2 * right @ (inverse * right)
 
@@ -126,6 +126,20 @@ def test_a_step_is_the_least_squares_solution(
     exact = np.linalg.solve(matrix.T @ matrix + shift * np.eye(40), -matrix.T @ residual)
     # The gradients stop at a hundredth of the gradient; the matrix is well conditioned.
     assert np.linalg.norm(step - exact) < 0.03 * np.linalg.norm(exact)
+
+
+def test_blocks_are_those_of_the_normal_matrix() -> None:
+    from scipy.sparse import csr_array
+
+    random = np.random.default_rng(0)
+    matrix = random.normal(size=(200, 11)) * (random.random((200, 11)) < 0.3)
+    # Of the first vertex two coordinates are unknown, of the others three, three and three.
+    unknowns = np.array([0, 2, 3, 4, 5, 9, 10, 11, 12, 13, 14])
+    shift, right = 0.1 + random.random(11), random.normal(size=11)
+    dense = matrix.T @ matrix + np.diag(shift)
+    dense[(unknowns[:, None] // 3) != (unknowns // 3)] = 0
+    found = products.inverse_blocks(csr_array(matrix), shift, unknowns, 3)(right)
+    assert found == pytest.approx(np.linalg.solve(dense, right), rel=1e-10)
 
 
 def test_unknowns_that_are_not_free_stay() -> None:

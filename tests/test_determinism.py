@@ -16,17 +16,17 @@ SURROUNDINGS = (
 
 def test_the_same_bytes_elsewhere(tmp_path: Path, program: Cli) -> None:
     lamp = ["--lamp", "--cell-size", "16mm"]  # few tubes
-    words = ["run", "ball.obj", "-n", 6, *lamp, *QUICK, "--threads", 1]
+    words = ["run", "ball.obj", "-n", 6, *lamp, *QUICK]
     found = []
-    for number, (name, umask, more) in enumerate(
-        zip(("a", "Ünwieldy näme, with spaces"), (0o022, 0o077), SURROUNDINGS, strict=True)
+    for number, (name, umask, threads, more) in enumerate(
+        zip(("a", "Ünwieldy näme, with spaces"), (0o022, 0o077), (1, 2), SURROUNDINGS, strict=True)
     ):
         place = tmp_path / f"{number}" / name
         place.mkdir(parents=True)
         write_inputs(place)
         home = place.parent / "home"
         home.mkdir()
-        done = program(*words, cwd=place, umask=umask, env={**more, "HOME": str(home)})
+        done = program(*words, "--threads", threads, cwd=place, umask=umask, env={**more, "HOME": str(home)})
         assert done.returncode == 0, done.stderr
         found.append(kept(place))
     assert differences(*found) == ""

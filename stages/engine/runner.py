@@ -199,8 +199,8 @@ def _outcome(
     from ..voronoi.diagram.delaunay import backend
 
     try:
-        # Results may depend on the number of threads, so every library gets exactly this number.
-        with threadpool_limits(session.threads, "blas"), backend(session.backend) as used:
+        # Sums of linear algebra depend on the number of threads, and waiting threads take time.
+        with threadpool_limits(1, "blas"), backend(session.backend) as used:
             outcome = stage.run(context)
     finally:
         told.finish()

@@ -10,7 +10,7 @@ Gauss-Newton step moves all of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +54,10 @@ class Rows:
     direction: Floats
     offset: Floats
     share: Floats
+
+    def some(self, chosen: NDArray[np.bool_]) -> Rows:
+        """The samples ``chosen (R,)``."""
+        return Rows(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
     def distance(self, vertices: Floats) -> Floats:
         """The signed distances ``(R,)`` of the samples to their planes."""
@@ -191,5 +195,5 @@ def fit(mesh: Sized, surface: NearSurface, where: NDArray[np.bool_] | None = Non
         values = root[:, None, None] * rows.gradient()
         blocks.append(Block.dense(columns, values, root * rows.distance(mesh.vertices)))
     free = np.repeat((mesh.rank == 0) if where is None else (mesh.rank == 0) & where, 3)
-    move = GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3)
+    move = GaussNewton(blocks, free, width=3).step(DAMPING).reshape(-1, 3)
     mesh.vertices = mesh.vertices + limited(move, LONGEST_STEP * mesh.length)

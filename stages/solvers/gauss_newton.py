@@ -41,6 +41,8 @@ class Problem(Protocol[State]):
     """Whether each unknown may change, ``(U,)``."""
     units: Floats | None
     """The unit of each unknown, ``(U,)``; None if all are 1."""
+    width: int
+    """Number of unknowns in a row that belong together, such as those of a sphere."""
     count: int
     """The number by which recorded losses are divided."""
     threads: int
@@ -101,7 +103,9 @@ def descend(
             raise NumericalFailure("sphere-train: a loss is not finite; lower the weights")
         losses.append([float(residuals[key] @ residuals[key]) / problem.count for key in TERMS])
         blocks = problem.blocks(state, residuals)
-        system = GaussNewton(blocks, problem.free, problem.units, problem.threads)
+        system = GaussNewton(
+            blocks, problem.free, problem.units, problem.threads, problem.width
+        )
         step = system.step(problem.spread(damping))
         bound = before + WORSE[0] + np.minimum(WORSE[1] * before, WORSE[2])
         share = np.ones(len(before))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..mesh.polygons import Floats, Ints
-from .products import Product, product
+from .products import Product, inverse_blocks, normal_product
 
 TOLERANCE, ITERATIONS = 1e-2, 80
 """Relative tolerance of the conjugate gradients, and their largest number of iterations. A
@@ -44,17 +44,19 @@ class Block:
 class GaussNewton:
     """Steps that lower ``sum residual^2`` over the unknowns that are ``free (U,)``.
 
-    Each unknown is measured in its unit, ``units (U,)``.
+    Each unknown is measured in its unit, ``units (U,)``. Every ``width`` unknowns in a row belong
+    together, such as the coordinates of a vertex, and are preconditioned together.
     """
 
     blocks: Sequence[Block]
     free: NDArray[np.bool_]
     units: Floats | None = None
     threads: int = 1
+    width: int = 1
 
     @cached_property
-    def _system(self) -> tuple[Any, Any, Floats, Floats]:
-        """The Jacobian, its transpose, the gradient, and the squares of the columns."""
+    def _system(self) -> tuple[Any, Floats, Floats]:
+        """The Jacobian, the gradient, and the squares of the columns."""
         from scipy.sparse import csr_array
 
         ends = np.cumsum([len(block.residual) for block in self.blocks])
@@ -74,10 +76,9 @@ class GaussNewton:
         index = np.int32 if max(len(rows), *shape) < 2**31 else np.int64
         places = rows.astype(index), number[columns[used]].astype(index)
         jacobian = csr_array((values[used], places), shape=shape)
-        transpose = jacobian.T.tocsr()
         squares = np.bincount(jacobian.indices, jacobian.data**2, minlength=shape[1])
-        gradient = np.asarray(transpose @ residual[kept])
-        return jacobian, transpose, gradient, np.asarray(squares, np.float64)
+        gradient = np.asarray(jacobian.T @ residual[kept])
+        return jacobian, gradient, np.asarray(squares, np.float64)
 
     def step(self, damping: float | Floats) -> Floats:
         """The step ``(U,)``. ``damping`` is one number, or one for each unknown ``(U,)``.
@@ -85,7 +86,7 @@ class GaussNewton:
         Its unit is the mean square of a column, in which squares above STEEP medians count as that
         much.
         """
-        jacobian, transpose, gradient, squares = self._system
+        jacobian, gradient, squares = self._system
         result = np.zeros(len(self.free))
         if not gradient.any():
             return result
@@ -95,26 +96,27 @@ class GaussNewton:
         # Otherwise a few steep columns would damp all unknowns.
         typical = np.median(square[square > 0])
         shift = each * np.minimum(square, STEEP * typical).mean() / units**2
+        inverse = inverse_blocks(jacobian, shift, np.flatnonzero(self.free), self.width)
         with ThreadPoolExecutor(self.threads) as pool:
-            first, second = (product(m, pool, self.threads) for m in (jacobian, transpose))
+            normal = normal_product(jacobian, pool)
             result[self.free] = conjugate_gradients(
-                lambda x: second(first(x)) + shift * x, -gradient, 1 / (squares + shift)
+                lambda x: normal(x) + shift * x, -gradient, inverse
             )
         return result
 
 
-def conjugate_gradients(product: Product, right: Floats, inverse: Floats) -> Floats:
+def conjugate_gradients(product: Product, right: Floats, inverse: Product) -> Floats:
     """A solution ``x (U,)`` of ``product(x) = right``, up to TOLERANCE.
 
-    ``inverse (U,)`` is the inverse of a diagonal matrix, which is the preconditioner.
+    ``inverse`` multiplies by the inverse of the preconditioner.
     """
     x, rest = np.zeros_like(right), right.copy()
     # The residual is measured in the preconditioner's norm: otherwise steep unknowns would hide
     # the others.
-    close = TOLERANCE**2 * (right @ (inverse * right))
+    close = TOLERANCE**2 * (right @ inverse(right))
     direction, before = np.zeros_like(right), 1.0
     for _ in range(ITERATIONS):
-        scaled = inverse * rest
+        scaled = inverse(rest)
         now = float(rest @ scaled)
         if now <= close:
             break

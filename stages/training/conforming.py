@@ -101,9 +101,13 @@ def conform(
             last = min(count, first + LEG)
             # Intersection and exclusion get their full weight after half of the steps.
             ramp = [1.0 if number else min(1.0, 2 * (i + 1) / count) for i in range(first, last)]
-            problem = SphereProblem(spheres, surface, creases, weights, free, threads)
-            start = spheres.centres
-            spheres, losses, damping = descend(problem, spheres, ramp, damping)
+            # In a repair few spheres move, and the losses are not recorded.
+            problem = SphereProblem(
+                spheres, surface, creases, weights, free, threads, local=number > 0
+            )
+            at, start = problem.vertices, spheres.centres
+            part, losses, damping[at] = descend(problem, problem.start, ramp, damping[at])
+            spheres = spheres.with_part(at, part)
             centres = kept_embedded(start, spheres.centres, spheres.triangles)
             spheres = replace(spheres, centres=centres)
             if not number:

@@ -85,6 +85,7 @@ def _softened(missing: Floats) -> Floats:
 class OnSpheres:
     """What is common to problems with the unknowns ``(c_v, r_v)``."""
 
+    width = 4
     limits = RADII
     """Smallest and largest radius, in edge lengths."""
     count: int
@@ -160,7 +161,11 @@ class OnSpheres:
 
 
 class SphereProblem(OnSpheres):
-    """Least squares with the unknowns ``(c_v, r_v)``, and fixed triangles and planes."""
+    """Least squares with the unknowns ``(c_v, r_v)``, and fixed triangles and planes.
+
+    Only the ``free (V,)`` spheres move. If the problem is ``local``, it consists of those on which
+    these depend, else of all. They are ``start``, the spheres at ``vertices (V',)``.
+    """
 
     def __init__(
         self,
@@ -170,39 +175,54 @@ class SphereProblem(OnSpheres):
         weights: Mapping[str, float],
         free: NDArray[np.bool_],
         threads: int,
+        local: bool = False,
     ) -> None:
         self.weights, self.threads = weights, threads
-        self.free = np.repeat(free, 4)
-        self.count = len(spheres.centres)
-        self.margin = np.maximum(MARGIN, 2 * SAFE / spheres.lengths**2)
-        self.length, self.face_length = spheres.lengths, spheres.face_lengths
-        self.offset = OFFSET * spheres.face_room
         centres, triangles = spheres.centres, spheres.triangles
-        self.triangles = triangles
-        self.units: Floats | None = np.repeat(spheres.lengths, 4)
         if not np.isfinite(centres).all():
             raise NumericalFailure(
                 "a surface vertex is not finite, since the training diverged; lower the weights"
             )
-        self.shape = []
+        vertices, faces = np.arange(len(centres)), np.ones(len(triangles), dtype=bool)
+        if local:
+            vertices, faces = spheres.meeting(free, threads)
+        part = spheres.part(vertices, faces)
+        self.vertices, self.start, self.triangles = vertices, part, part.triangles
+        self.free, self.count = np.repeat(free[vertices], 4), len(vertices)
+        self.margin = np.maximum(MARGIN, 2 * SAFE / part.lengths**2)
+        self.length, self.face_length = part.lengths, part.face_lengths
+        self.offset = OFFSET * part.face_room
+        self.units: Floats | None = np.repeat(part.lengths, 4)
+        samples = []
         for way in (forward, backward):
             rows = way(surface, centres, triangles)
-            hold = spheres.hold[rows.corners].min(axis=1)
-            scale = weights["shape"] * len(centres) * rows.share * hold
-            self.shape.append((rows, np.sqrt(scale) / self.length[rows.corners].mean(axis=1)))
+            samples.append((rows, weights["shape"] * len(centres) * rows.share))
         if creases is not None:
             rows = on_creases(creases, spheres)
-            hold = spheres.hold[rows.corners[:, 0]]
-            self.shape.append((rows, np.sqrt(SHARP * hold) / self.length[rows.corners[:, 0]]))
-        self.laplacian = Laplacian.of(EdgeTable.of(triangles).ends, self.count)
+            samples.append((rows, np.full(len(rows.share), SHARP)))
+        self.shape = []
+        for rows, scale in samples:
+            some = free[rows.corners].any(axis=1)
+            rows, scale = rows.some(some), scale[some]
+            scale = np.sqrt(scale * spheres.hold[rows.corners].min(axis=1))
+            scale /= spheres.lengths[rows.corners].mean(axis=1)
+            corners = np.searchsorted(vertices, rows.corners)
+            self.shape.append((replace(rows, corners=corners), scale))
+        ends = EdgeTable.of(triangles).ends
+        if local:
+            number = np.full(len(centres), -1)
+            number[vertices] = np.arange(len(vertices))
+            ends = number[ends]
+            ends = ends[(ends >= 0).all(axis=1)]
+        self.laplacian = Laplacian.of(ends, self.count)
         # Where the pull to the true surface is reduced, smoothness replaces it.
-        loose = weights["smooth"] * (1 - spheres.hold)
+        loose = weights["smooth"] * (1 - part.hold)
         self.bending = np.sqrt(weights["normal"] + loose) / self.length
         self.smoothing = np.sqrt(weights["smooth"]) / self.length
-        # At creases the surface is not made smooth.
-        self.bending = np.where(spheres.rank > 0, 0.0, self.bending)
-        self.smoothing = np.where(spheres.rank > 0, 0.0, self.smoothing)
         self.evening = np.sqrt(weights["radius"]) / self.length
+        # At creases the surface is not made smooth.
+        for factor in (self.bending, self.smoothing):
+            factor[part.rank > 0] = 0.0
 
     def energies(self, residuals: dict[str, Floats]) -> Floats:
         """The sum of squared residuals over the triangles around each vertex, ``(V,)``."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..mesh.edge_table import EdgeTable, Sized
 from ..mesh.geometry import limited
 from ..mesh.polygons import Floats, Ints, PolygonMesh
-from ..mesh.spheres import near_pairs
+from ..mesh.spheres import held, near_pairs
 from ..remesh.operations import fold_cosines
 from .losses import triangle_pairs
 
@@ -22,6 +22,9 @@ SMALLEST = 0.1
 """``delta_f`` of the substitute for a missing pair, in edge lengths."""
 LEAST_ROOM = 0.05
 """Smallest value of ``room``, for edges that are folded flat, whose pairs would have no room."""
+REACH = 2.0
+"""Generators and spheres that are closer to each other than this, in edge lengths, can meet in a
+few steps."""
 SAFE = 2e-5
 """Smallest power, in units of h0^2, at which a generator counts as outside a sphere."""
 
@@ -115,6 +118,43 @@ class Spheres:
         np.maximum.at(found, sphere[wrong], depth)
         found[self.triangles[square <= self.smallest**2]] = 1.0
         return found
+
+    def meeting(self, free: NDArray[np.bool_], threads: int) -> tuple[Ints, NDArray[np.bool_]]:
+        """The vertices ``(V',)`` and faces ``(F,)`` on which the ``free (V,)`` spheres depend.
+
+        These are the faces around them and their neighbours, generators and spheres that can meet
+        those that move in a few steps, and all corners of these faces.
+        """
+        points, _ = self.generators()
+        reach, count = REACH * self.lengths, len(self.triangles)
+        moving = free[self.triangles].any(axis=1)
+        faces = rings_around(self.triangles, free, 1)[self.triangles].any(axis=1)
+        for point, _ in held(points, self.centres[free], reach[free], threads):
+            faces[point % count] = True
+        vertices = np.zeros_like(free)
+        for _, sphere in held(points[np.tile(moving, 2)], self.centres, reach, threads):
+            vertices[sphere] = True
+        vertices[self.triangles[faces]] = True
+        return np.flatnonzero(vertices), faces
+
+    def part(self, vertices: Ints, faces: NDArray[np.bool_]) -> Spheres:
+        """The spheres at ``vertices (V',)``, sorted, with those ``faces (F,)``, without creases.
+
+        The corners of these faces must be among the vertices.
+        """
+        values = {
+            item.name: getattr(self, item.name)[vertices]
+            for item in fields(self)
+            if item.name not in ("triangles", "creases")
+        }
+        triangles = np.searchsorted(vertices, self.triangles[faces])
+        return Spheres(**values, triangles=triangles, creases=self.creases[:0])
+
+    def with_part(self, vertices: Ints, part: Spheres) -> Spheres:
+        """These spheres with the centres and radii of ``part`` at ``vertices (V',)``."""
+        centres, radii = self.centres.copy(), self.radii.copy()
+        centres[vertices], radii[vertices] = part.centres, part.radii
+        return replace(self, centres=centres, radii=radii)
 
     def as_mesh(self) -> Sized:
         """Centres, triangles and lengths as a mesh, which carries radius, hold and age."""

@@ -73,7 +73,8 @@ def system(shape: str, n: int, faces: str) -> tuple[GaussNewton, float]:
 
 def study(shape: str, n: int, faces: str) -> dict[str, Any]:
     problem, damping = system(shape, n, faces)
-    jacobian, transpose, gradient, squares = problem._system
+    jacobian, gradient, squares = problem._system
+    transpose = jacobian.T.tocsr()
     shift = damping * squares.mean()
     count = len(gradient)
 

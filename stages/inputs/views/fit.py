@@ -188,7 +188,7 @@ def _step(mesh: Sized, table: EdgeTable, seen: list[Seen], edge: float, doubtful
     for k in range(3):
         blocks.append(Block(laplacian.rows, 3 * laplacian.columns + k, entries, bent[:, k]))
     free = np.ones(3 * len(vertices), dtype=bool)
-    return limited(GaussNewton(blocks, free).step(DAMPING).reshape(-1, 3), edge)
+    return limited(GaussNewton(blocks, free, width=3).step(DAMPING).reshape(-1, 3), edge)
 
 
 def _solid(mesh: Sized, cells: int) -> Sized:
