@@ -26,7 +26,9 @@ def test_the_same_bytes_elsewhere(tmp_path: Path, program: Cli) -> None:
         write_inputs(place)
         home = place.parent / "home"
         home.mkdir()
-        done = program(*words, "--threads", threads, cwd=place, umask=umask, env={**more, "HOME": str(home)})
+        done = program(
+            *words, "--threads", threads, cwd=place, umask=umask, env={**more, "HOME": str(home)}
+        )
         assert done.returncode == 0, done.stderr
         found.append(kept(place))
     assert differences(*found) == ""

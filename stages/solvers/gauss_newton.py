@@ -103,9 +103,7 @@ def descend(
             raise NumericalFailure("sphere-train: a loss is not finite; lower the weights")
         losses.append([float(residuals[key] @ residuals[key]) / problem.count for key in TERMS])
         blocks = problem.blocks(state, residuals)
-        system = GaussNewton(
-            blocks, problem.free, problem.units, problem.threads, problem.width
-        )
+        system = GaussNewton(blocks, problem.free, problem.units, problem.threads, problem.width)
         step = system.step(problem.spread(damping))
         bound = before + WORSE[0] + np.minimum(WORSE[1] * before, WORSE[2])
         share = np.ones(len(before))
