@@ -19,7 +19,9 @@ def start(threads: int) -> None:
 
     torch.set_num_threads(threads)
     # CUDA lacks such a version of some operations, which is a warning; a processor has all of them.
-    torch.use_deterministic_algorithms(True, warn_only=torch.cuda.is_available())
+    # torch.use_deterministic_algorithms does the same, but imports torch's compiler, which takes as
+    # long as torch.
+    torch.set_deterministic_debug_mode("warn" if torch.cuda.is_available() else "error")
     # Every value is written before it is read, so filling memory first would waste time.
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     settle()

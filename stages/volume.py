@@ -40,7 +40,8 @@ class Params(StageParams):
     """Options of the volume stage."""
 
     inner: Annotated[int, Range(1, MOST_INNER)] | None = None
-    """Number of generators inside. Default: 800, or as many as --spacing and --grading need."""
+    """Number of generators inside. Default: 800, or fewer if the shape is too thin for these, or
+    as many as --spacing and --grading need."""
     spacing: Annotated[float, Range(0)] | None = None
     """Size of the inner cells (the cube root of their volume, in the unit of the input), in place
     of --inner. With --grading it is the largest size."""
@@ -106,6 +107,11 @@ def run(context: Context) -> Outcome:
     bounded.recheck(points)
     diagram = delaunay(generators)
     warnings, as_written, changed = list(bounded.warnings), True, 0
+    if len(points) < count:
+        warnings.append(
+            f"{len(points)} inner generators fit in place of {count}, because the shape is thin, so "
+            "that most cells end at the surface; raise -n for smaller cells"
+        )
     try:
         raw = raw_cells(generators, inside, diagram, bounded.boundary, len(points))
     except NumericalFailure:
@@ -353,7 +359,7 @@ def _descend(
         context.progress.start("inner generators", count)
         points = sample(
             guard, count, context.random, threads, context.progress.advance,
-            sizes.places if sizes else None,
+            sizes.places if sizes else None, fewer=sizes is None and params.inner is None,
         )  # fmt: skip
         if params.cvt == "paper":
             descent = PaperDescent(guard, points, mean_area, threads, params.cvt_iterations)

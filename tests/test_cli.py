@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from cases import snapshot
 from conftest import QUICK, Cli, sphere_mesh, write_obj
 
@@ -282,3 +284,15 @@ def test_sample_is_the_installed_file(tmp_path: Path, cli: Cli) -> None:
     done = cli("sample", "cube", cwd=tmp_path)
     assert done.returncode == 2
     assert (tmp_path / "cube.obj").read_text() == "mine"
+
+
+def test_a_plate_that_cannot_be_a_lamp_gets_all_the_rest(tmp_path: Path, cli: Cli) -> None:
+    trimesh.creation.box((10, 3, 0.3)).export(tmp_path / "plate.stl")
+    done = cli("run", "plate.stl", "-n", 8, "--lamp", *QUICK, cwd=tmp_path)
+    assert done.returncode == 2
+    assert re.search(r"--bed 250x250x250: the object is \d+ x \d+ mm wide", done.stderr)
+    folder = tmp_path / "plate.vorolight"
+    assert (folder / "report.html").is_file() and not (folder / "fabricate.stl").exists()
+    assert (folder / "evaluate-sphere-train.json").is_file()
+    stored = json.loads((folder / "volume.json").read_text())
+    assert stored["metrics"]["cell_volume_sum"] == pytest.approx(9, rel=1e-3)

@@ -190,6 +190,7 @@ def test_where_nothing_fits_is_said() -> None:
     closed = Guard(guard.generators, guard.inside, np.zeros((1, 3)), np.array([2.0]))
     with pytest.raises(InputError, match="only 0 of 5 inner generators fit"):
         sample(closed, 5, randomness, 1, lambda _: None)
+    assert len(sample(closed, 5, randomness, 1, lambda _: None, fewer=True)) == 0
 
 
 def test_added_generators_in_a_sphere_are_found_out() -> None:

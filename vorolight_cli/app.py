@@ -16,7 +16,13 @@ import typer
 from vorolight.stages.artifacts.run_folder import RunFolder
 from vorolight.stages.engine import freshness, registry, runner
 from vorolight.stages.engine.stage import Stage
-from vorolight.stages.errors import UsageError, VorolightError
+from vorolight.stages.errors import (
+    BackendMissing,
+    InputError,
+    NumericalFailure,
+    UsageError,
+    VorolightError,
+)
 
 from . import completion, signals, summary
 from .collect import collect
@@ -90,6 +96,12 @@ def _preview(
     return preview
 
 
+def _say(error: VorolightError, verbose: bool | None) -> None:
+    if verbose:
+        traceback.print_exc()
+    print(f"vorolight: {plain(str(error))}", file=sys.stderr)
+
+
 def guarded(function: Function) -> Function:
     """Turn errors into one sentence on stderr and the exit code of their kind."""
 
@@ -98,9 +110,7 @@ def guarded(function: Function) -> Function:
         try:
             return function(*args, **kwargs)
         except VorolightError as error:
-            if kwargs.get("verbose"):
-                traceback.print_exc()
-            print(f"vorolight: {plain(str(error))}", file=sys.stderr)
+            _say(error, kwargs.get("verbose"))
             raise typer.Exit(error.exit_code) from None
         except typer.Exit:
             raise
@@ -231,6 +241,8 @@ def _run_command() -> None:
     def command(**given: Any) -> None:
         """Run all stages, from INPUT to the object to print. Writes the report at the end.
 
+        If the shape cannot be printed or has no cells, the other stages are run all the same.
+
         Example: vorolight run bunny.obj -n 25 --lamp
         """
         names = parameter_names(stages)
@@ -246,6 +258,7 @@ def _run_command() -> None:
             for stage in stages
         }
         first: str | None = None
+        failed: dict[str, int] = {}
         source = freshness.input_of(common.session)
         for name in registry.stages_until(until, "" if source is None else source.kind):
             if first is not None:
@@ -254,12 +267,23 @@ def _run_command() -> None:
                     {"stage": name, "would_run": True, "reason": f"{first} changed"}
                 )
                 continue
-            ran = _execute(common, name, planned[name])
+            if not failed.keys().isdisjoint(registry.get(name).parents(planned[name])):
+                continue
+            try:
+                ran = _execute(common, name, planned[name])
+            except (UsageError, InputError, NumericalFailure, BackendMissing) as error:
+                if name not in registry.ENDS:
+                    raise
+                _say(error, common.console.verbosity > 1)
+                failed[name] = error.exit_code
+                continue
             # The results of these stages are not read by others, so they make no other stage stale.
             if common.dry_run and ran and name not in ("volume", "shade", "evaluate"):
                 first = name
         if not common.dry_run:
             _write_report(common.session.folder, common.console)
+        if failed:
+            raise typer.Exit(next(iter(failed.values())))
 
     _register("run", command, [common_options, _until], stages)
 

@@ -116,12 +116,14 @@ def sample(
     threads: int,
     tick: Callable[[int], None],
     places: Callable[[np.random.Generator, int], Floats] | None = None,
+    fewer: bool = False,
 ) -> Floats:
     """``count`` inner generators ``(count, 3)``, verified in the Voronoi diagram (appendix C.2).
 
     Candidates come in batches from ``places``; the default is uniform in the bounding box. Those in
     a vertex sphere are dropped at once. Of the others, those whose cells touch an outside cell are
-    dropped until there are none. Raises InputError if so many do not fit.
+    dropped until there are none. If so many do not fit, those that do are returned if ``fewer`` are
+    allowed; otherwise InputError is raised.
     """
     low, high = guard.within.min(axis=0), guard.within.max(axis=0)
     found, tried = np.zeros((0, 3)), 0
@@ -148,6 +150,8 @@ def sample(
             return found[:count]
         if tried > IN_VAIN:
             break
+    if fewer:
+        return found
     raise InputError(
         f"only {len(found)} of {count} inner generators fit without touching the surface; "
         "lower --inner or raise -n"
