@@ -109,8 +109,8 @@ def run(context: Context) -> Outcome:
     warnings, as_written, changed = list(bounded.warnings), True, 0
     if len(points) < count:
         warnings.append(
-            f"{len(points)} inner generators fit in place of {count}, because the shape is thin, so "
-            "that most cells end at the surface; raise -n for smaller cells"
+            f"{len(points)} inner generators fit in place of {count}, because the shape is thin, "
+            "so that most cells end at the surface; raise -n for smaller cells"
         )
     try:
         raw = raw_cells(generators, inside, diagram, bounded.boundary, len(points))

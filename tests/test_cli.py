@@ -292,7 +292,8 @@ def test_a_plate_that_cannot_be_a_lamp_gets_all_the_rest(tmp_path: Path, cli: Cl
     assert done.returncode == 2
     assert re.search(r"--bed 250x250x250: the object is \d+ x \d+ mm wide", done.stderr)
     folder = tmp_path / "plate.vorolight"
-    assert (folder / "report.html").is_file() and not (folder / "fabricate.stl").exists()
+    assert (folder / "report.html").is_file()
+    assert not (folder / "fabricate.stl").exists()
     assert (folder / "evaluate-sphere-train.json").is_file()
     stored = json.loads((folder / "volume.json").read_text())
     assert stored["metrics"]["cell_volume_sum"] == pytest.approx(9, rel=1e-3)
