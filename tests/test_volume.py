@@ -25,6 +25,7 @@ from vorolight.stages.training.losses.cvt import cvt
 from vorolight.stages.voronoi.cells.assembly import raw_cells
 from vorolight.stages.voronoi.cells.boundary import Boundary
 from vorolight.stages.voronoi.cells.grading import Sizes, depths
+from vorolight.stages.voronoi.cells import interior
 from vorolight.stages.voronoi.cells.interior import Guard, sample
 from vorolight.stages.voronoi.cells.slivers import merged
 from vorolight.stages.voronoi.diagram.cleanup import clean
@@ -190,7 +191,21 @@ def test_where_nothing_fits_is_said() -> None:
     closed = Guard(guard.generators, guard.inside, np.zeros((1, 3)), np.array([2.0]))
     with pytest.raises(InputError, match="only 0 of 5 inner generators fit"):
         sample(closed, 5, randomness, 1, lambda _: None)
-    assert len(sample(closed, 5, randomness, 1, lambda _: None, fewer=True)) == 0
+
+
+def test_as_many_as_fit_are_enough_where_fewer_are_allowed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, guard = pairs_on_a_sphere(60)
+
+    def few(random: np.random.Generator, count: int) -> np.ndarray:
+        return 0.05 * random.standard_normal((3, 3))
+
+    monkeypatch.setattr(interior, "OUTER_ROUNDS", 2)
+    found = sample(guard, 40, randomness, 1, lambda _: None, few, fewer=True)
+    assert len(found) == 6
+    with pytest.raises(InputError, match="only 6 of 40"):
+        sample(guard, 40, randomness, 1, lambda _: None, few)
 
 
 def test_added_generators_in_a_sphere_are_found_out() -> None:

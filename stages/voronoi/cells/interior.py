@@ -123,7 +123,7 @@ def sample(
     Candidates come in batches from ``places``; the default is uniform in the bounding box. Those in
     a vertex sphere are dropped at once. Of the others, those whose cells touch an outside cell are
     dropped until there are none. If so many do not fit, those that do are returned if ``fewer`` are
-    allowed; otherwise InputError is raised.
+    allowed. Otherwise, and if none fits, InputError is raised.
     """
     low, high = guard.within.min(axis=0), guard.within.max(axis=0)
     found, tried = np.zeros((0, 3)), 0
@@ -150,7 +150,7 @@ def sample(
             return found[:count]
         if tried > IN_VAIN:
             break
-    if fewer:
+    if fewer and len(found):
         return found
     raise InputError(
         f"only {len(found)} of {count} inner generators fit without touching the surface; "
