@@ -22,10 +22,10 @@ from vorolight.stages.mesh.polygons import PolygonMesh
 from vorolight.stages.mesh.polyhedra import PolyhedralMesh
 from vorolight.stages.training.cvt import Descent, PaperDescent
 from vorolight.stages.training.losses.cvt import cvt
+from vorolight.stages.voronoi.cells import interior
 from vorolight.stages.voronoi.cells.assembly import raw_cells
 from vorolight.stages.voronoi.cells.boundary import Boundary
 from vorolight.stages.voronoi.cells.grading import Sizes, depths
-from vorolight.stages.voronoi.cells import interior
 from vorolight.stages.voronoi.cells.interior import Guard, sample
 from vorolight.stages.voronoi.cells.slivers import merged
 from vorolight.stages.voronoi.diagram.cleanup import clean
