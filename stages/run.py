@@ -22,6 +22,7 @@ from .progress import Silent
 
 if TYPE_CHECKING:
     from .artifacts.manifest import Manifest
+    from .mesh.dual_graph import DualGraph
     from .mesh.polygons import Floats, PolygonMesh
     from .mesh.polyhedra import PolyhedralMesh
     from .voronoi.trained_surface import TrainedSurface
@@ -96,6 +97,15 @@ class Run:
         from .mesh.polyhedra import PolyhedralMesh
 
         return PolyhedralMesh.from_arrays(self.arrays("volume"))
+
+    @cached_property
+    def graph(self) -> DualGraph:
+        """The connections of ``cells`` for finite volumes with two points a face."""
+        from .mesh.dual_graph import DualGraph
+
+        arrays = self.arrays("volume")
+        points = arrays["generators"][self.cells.cell_generator]
+        return DualGraph.of(self.cells, points, arrays["cell_volume"])
 
     def trimesh(self) -> Any:
         """``surface`` as a trimesh.Trimesh; its polygons are divided into triangles."""

@@ -44,6 +44,8 @@ def test_a_run_gives_objects(ball: Run) -> None:
     arm = trained.inside[face] - trained.polygons.vertices[corner]
     assert np.abs(np.linalg.norm(arm, axis=1) - trained.radii[corner]).max() < 1e-9
     assert ball.cells.cell_count == ball.metrics["volume"]["cells"]
+    assert ball.graph.inner == (ball.cells.neighbour >= 0).sum()
+    assert ball.graph.volume.sum() == ball.metrics["volume"]["cell_volume_sum"]
     assert set(ball.warnings) == {"classify", "init", "sphere-train", "volume"}
 
 

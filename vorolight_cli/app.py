@@ -239,9 +239,8 @@ def _run_command() -> None:
     stages = [registry.get(name) for name in registry.ORDER]
 
     def command(**given: Any) -> None:
-        """Run all stages, from INPUT to the object to print. Writes the report at the end.
-
-        If the shape cannot be printed or has no cells, the other stages are run all the same.
+        """Run all stages, from INPUT to the object to print. Writes the report at the end. If a
+        shape cannot be printed or filled with cells, the other stages run all the same.
 
         Example: vorolight run bunny.obj -n 25 --lamp
         """

@@ -13,7 +13,9 @@ from vorolight.stages.errors import ArtifactError
 from . import completion
 from .session import Quiet, Run, Verbose
 
-FORMATS = "vtu|openfoam|ovm|vtu-tetrahedra|msh|inp|ply|hdf5"
+FORMATS = (
+    "vtu|openfoam|ovm|vtu-tetrahedra|msh|inp|ply|hdf5|graph-csv|graph-hdf5|pflotran|tough|modflow"
+)
 
 
 def export(
@@ -27,7 +29,8 @@ def export(
     format: Annotated[
         str | None,
         typer.Option(
-            help=f"File format [{FORMATS}]. Default: by the suffix; openfoam writes a folder.",
+            help=f"File format [{FORMATS}]. Default: by the suffix. openfoam, graph-csv, "
+            "pflotran, tough and modflow write a folder.",
             autocompletion=completion.choices(lambda: FORMATS.split("|")),
             show_default=False,
         ),

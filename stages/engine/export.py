@@ -67,8 +67,9 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
         raise UsageError(f"{target}: is a folder; name a file")
     if not form.suffix and target.is_file():
         raise UsageError(f"{target}: is a file; name a folder")
-    held = target if form.suffix else target / "constant" / "polyMesh"
-    if held.exists() and not force:
+    held = target if form.suffix else target / form.inside
+    there = held.exists() and (form.suffix or form.inside or any(held.iterdir()))
+    if there and not force:
         raise UsageError(f"{held}: exists; choose another name, or replace it with --force")
     arrays = folder.arrays("volume", "volume")
     mesh = PolyhedralMesh.from_arrays(arrays)
@@ -79,25 +80,28 @@ def export(folder: RunFolder, target: Path, form: Format, cut: str | None, force
         keep = _kept(cut, points)
         mesh, points = mesh.select_cells(keep), points[keep]
         data = {name: values[keep] for name, values in data.items()}
-    files = form.encode(Volume(mesh, data, points))
+    cells = Volume(mesh, data, points)
+    files = form.encode(cells)
     atomic.make_folder(target.parent if form.suffix else target)
-    if form.suffix:
-        atomic.write(target, files[""])
+    if form.inside:
+        _write_case(target, files, form.inside)
     else:
-        _write_case(target, files)
-    return f"{mesh.cell_count} cells, {mesh.faces.face_count} faces"
+        for path, content in files.items():
+            atomic.write(target / path if path else target, content)
+    said = f"{mesh.cell_count} cells, {mesh.faces.face_count} faces"
+    return said if form.remark is None else f"{said}; {form.remark(cells)}"
 
 
-def _write_case(target: Path, files: dict[str, bytes]) -> None:
+def _write_case(target: Path, files: dict[str, bytes], inside: str) -> None:
     """Write a case: its mesh is there as a whole or not at all, and existing settings stay."""
-    mesh = "constant/polyMesh/"
+    mesh = f"{inside}/"
     for path, content in files.items():
         if not path.startswith(mesh) and not (target / path).exists():
             atomic.make_folder((target / path).parent)
             atomic.write(target / path, content)
-    place = target / "constant" / "polyMesh"
-    fresh = place.with_name(f".polyMesh.tmp.{os.getpid()}")
-    former = place.with_name(f".polyMesh.old.{os.getpid()}")
+    place = target / inside
+    fresh = place.with_name(f".{place.name}.tmp.{os.getpid()}")
+    former = place.with_name(f".{place.name}.old.{os.getpid()}")
     atomic.make_folder(fresh)
     try:
         for path, content in files.items():
