@@ -33,7 +33,7 @@ def test_a_running_stage_holds_the_lock(tmp_path: Path, cli: Cli) -> None:
     [
         (
             [signal.SIGKILL, signal.SIGTERM, signal.SIGINT],
-            ["--iterations", 120],
+            ["--iterations", 60],
             "0*.h5",
         ),
         pytest.param(
