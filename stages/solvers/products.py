@@ -43,7 +43,7 @@ def normal_product(matrix: Any, pool: ThreadPoolExecutor) -> Product:
     def of(vector: Floats) -> Floats:
         if parts == 1:
             part(0, vector)
-            return sums[0].copy()
+            return np.asarray(sums[0].copy())
         for running in [pool.submit(part, number, vector) for number in range(parts)]:
             running.result()
         return np.asarray(sums.sum(axis=0))

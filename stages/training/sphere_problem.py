@@ -202,7 +202,7 @@ class SphereProblem(OnSpheres):
             samples.append((rows, np.full(len(rows.share), SHARP)))
         self.shape = []
         for rows, scale in samples:
-            some = free[rows.corners].any(axis=1)
+            some = np.asarray(free[rows.corners].any(axis=1))
             rows, scale = rows.some(some), scale[some]
             scale = np.sqrt(scale * spheres.hold[rows.corners].min(axis=1))
             scale /= spheres.lengths[rows.corners].mean(axis=1)

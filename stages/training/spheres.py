@@ -128,7 +128,7 @@ class Spheres:
         points, _ = self.generators()
         reach, count = REACH * self.lengths, len(self.triangles)
         moving = free[self.triangles].any(axis=1)
-        faces = rings_around(self.triangles, free, 1)[self.triangles].any(axis=1)
+        faces = np.asarray(rings_around(self.triangles, free, 1)[self.triangles].any(axis=1))
         for point, _ in held(points, self.centres[free], reach[free], threads):
             faces[point % count] = True
         vertices = np.zeros_like(free)
