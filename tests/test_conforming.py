@@ -36,7 +36,7 @@ from vorolight.stages.solvers.gauss_newton import descend, first_damping
 from vorolight.stages.training import conforming as conforming_training
 from vorolight.stages.training.losses import triangle_pairs as conforming
 from vorolight.stages.training.sphere_problem import SphereProblem
-from vorolight.stages.training.spheres import Spheres, rings_around
+from vorolight.stages.training.spheres import SAFE, Spheres, rings_around
 
 
 def test_pairs_lie_on_the_three_spheres_of_their_face() -> None:
@@ -121,6 +121,19 @@ def test_a_triangle_without_area_stalls_nothing(tmp_path: Path) -> None:
     _, losses, damping = descend(problem, spheres, [1.0] * 6, first_damping(42))
     assert losses[-1].sum() < 0.5 * losses[0].sum()
     assert np.median(damping) < 1
+
+
+def test_all_intruders_of_small_spheres_are_found() -> None:
+    # As of short edges in a large shape: powers below SAFE are further away than the spheres' size.
+    vertices, triangles = sphere_mesh(0.02, 2)
+    spheres = Spheres.at(Sized(vertices, triangles, np.ones(len(vertices))))
+    points, _ = spheres.generators()
+    away = ((points[:, None] - spheres.centres) ** 2).sum(axis=2) - spheres.radii**2
+    corners = np.tile(triangles, (2, 1))
+    away[np.arange(len(points))[:, None], corners] = np.inf
+    near = away.min(axis=0)
+    assert 0 < (near < SAFE).sum() < len(near)
+    assert np.array_equal(spheres.intrusion(1) > 0, near < SAFE)
 
 
 def test_a_local_problem_takes_the_steps_of_the_whole_one(tmp_path: Path) -> None:

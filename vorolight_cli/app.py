@@ -266,7 +266,9 @@ def _run_command() -> None:
                     {"stage": name, "would_run": True, "reason": f"{first} changed"}
                 )
                 continue
-            if not failed.keys().isdisjoint(registry.get(name).parents(planned[name])):
+            needed = failed.keys() & set(registry.get(name).parents(planned[name]))
+            if needed:
+                common.console.warn(f"{name}: was not run, because {min(needed)} failed")
                 continue
             try:
                 ran = _execute(common, name, planned[name])
@@ -276,8 +278,7 @@ def _run_command() -> None:
                 _say(error, common.console.verbosity > 1)
                 failed[name] = error.exit_code
                 continue
-            # The results of these stages are not read by others, so they make no other stage stale.
-            if common.dry_run and ran and name not in ("volume", "shade", "evaluate"):
+            if common.dry_run and ran and name not in registry.ENDS:
                 first = name
         if not common.dry_run:
             _write_report(common.session.folder, common.console)

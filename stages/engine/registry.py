@@ -10,7 +10,7 @@ from .stage import Stage
 ORDER = ("classify", "init", "sphere-train", "volume", "shade", "evaluate", "fabricate")
 """The stages of a whole run, in order."""
 ENDS = ("volume", "shade", "evaluate", "fabricate")
-"""Stages of a whole run that can fail while the others go on, since no other stage needs them."""
+"""Stages of a whole run that can fail while those go on that do not need them."""
 ALL = (*ORDER, "baseline")
 """Every stage, including those that only run on request."""
 

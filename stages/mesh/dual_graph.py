@@ -12,6 +12,9 @@ from .polyhedra import PolyhedralMesh
 
 SMALL = 1e-9
 """The direction of a face with less area than this, in mean areas, is rounding only."""
+PERPENDICULAR = 1e-4
+"""An angle below this, in degrees, is rounding. Corners of small faces are the centres of spheres
+through points that are close together."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +82,3 @@ class DualGraph:
             f"the lines between generators are up to {largest:.2g} degrees from perpendicular to "
             "the faces, because short edges were contracted; run: vorolight volume --sliver 0"
         )
-
-
-PERPENDICULAR = 1e-4
-"""An angle below this, in degrees, is rounding. Corners of small faces are the centres of spheres
-through points that are close together."""

@@ -153,7 +153,7 @@ def faults(polygons: Polygons, before: Floats, close: float, threads: int) -> Fl
     at[at < SHIFTED] = 0.0
     aside = np.abs(polygons.planes.heights(state.centres))
     np.maximum.at(at, polygons.planes.vertex, np.where(aside > close, 1 + aside, 0.0))
-    point, sphere = near_pairs(mesh, points, state.centres, state.radii, 0.02, threads)
+    point, sphere = near_pairs(mesh, points, state.centres, state.reach, 0.0, threads)
     power = ((points[point] - state.centres[sphere]) ** 2).sum(axis=1) - state.radii[sphere] ** 2
     inside = power < SAFE
     depth = (2 * SAFE - power[inside]) / state.lengths[sphere[inside]] ** 2

@@ -222,7 +222,7 @@ class PolygonProblem(OnSpheres):
     def prepare(self, state: Spheres, factor: float) -> None:
         points, _ = state.generators()
         mesh = self.faces.with_vertices(state.centres)
-        self.near = near_pairs(mesh, points, state.centres, state.radii, SLACK, self.threads)
+        self.near = near_pairs(mesh, points, state.centres, state.reach, SLACK, self.threads)
         self.exact = np.sqrt(factor)
         self.facing = state.pairs().normal[self.turn_face]
 

@@ -241,7 +241,7 @@ class SphereProblem(OnSpheres):
     def prepare(self, state: Spheres, factor: float) -> None:
         mesh = PolygonMesh.of_triangles(state.centres, state.triangles)
         points, _ = state.generators()
-        self.near = near_pairs(mesh, points, state.centres, state.radii, SLACK, self.threads)
+        self.near = near_pairs(mesh, points, state.centres, state.reach, SLACK, self.threads)
         self.normal = vertex_normals(state.centres, state.triangles)
         self.strict = {
             key: np.sqrt(factor * self.weights[key]) for key in ("intersection", "exclusion")

@@ -80,6 +80,14 @@ class Spheres:
         """The smallest ``room`` at the corners of each face, ``(F,)``."""
         return np.asarray(self.room[self.triangles].min(axis=1))
 
+    @property
+    def reach(self) -> Floats:
+        """Radii ``(V,)`` of balls with all generators whose power to a sphere is below 2 SAFE.
+
+        Beside a small sphere these are further away than a share of its radius.
+        """
+        return np.asarray(np.sqrt(self.radii**2 + 2 * SAFE))
+
     def pairs(self) -> triangle_pairs.Pairs:
         """The pairs of all faces, where they exist."""
         return triangle_pairs.radical_pairs(self.centres, self.radii, self.triangles)
@@ -110,7 +118,7 @@ class Spheres:
         """
         points, square = self.generators()
         mesh = PolygonMesh.of_triangles(self.centres, self.triangles)
-        point, sphere = near_pairs(mesh, points, self.centres, self.radii, 0.02, threads)
+        point, sphere = near_pairs(mesh, points, self.centres, self.reach, 0.0, threads)
         power = ((points[point] - self.centres[sphere]) ** 2).sum(axis=1) - self.radii[sphere] ** 2
         found = np.zeros(len(self.centres))
         wrong = power < SAFE
