@@ -19,6 +19,7 @@ ENABLES = {
     "render": "fabricate --render as a path-traced picture",
     "images": "pictures of phones (HEIC)",
     "scans": "point clouds in LAS, LAZ and E57",
+    "modflow": "cells as a grid of MODFLOW 6",
     "cluster": "tables as .parquet, workflows on many machines",
 }
 """The purpose of each extra; extras for developers are left out."""
