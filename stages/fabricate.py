@@ -213,7 +213,7 @@ def _parents(params: Params) -> tuple[str, ...]:
 
 STAGE = Stage(
     name="fabricate",
-    version=7,
+    version=8,
     params=Params,
     run=run,
     parents=_parents,

@@ -188,6 +188,24 @@ def test_the_air_is_no_island() -> None:
     assert len(found.areas) == 0
 
 
+def test_a_part_that_hangs_on_a_narrow_strip_is_no_island() -> None:
+    box = Manifold.cube
+    for offset in (0.0, 0.2):
+        # The strip is half as wide as the nozzle: the centres of the grid miss one of the two.
+        strip = box([16, 0.2, 1]).translate([4, 2.3 + offset, 1])
+        body = box([5, 5, 2]) + strip + box([4, 4, 1]).translate([18, 0.5, 1])
+        mesh = body.to_mesh()
+        found = layers.islands(
+            np.asarray(mesh.vert_properties[:, :3], float), np.asarray(mesh.tri_verts), 0.5, 0.4
+        )
+        assert len(found.areas) == 0
+    apart = (box([5, 5, 2]) + box([4, 4, 1]).translate([18, 0.5, 1])).to_mesh()
+    found = layers.islands(
+        np.asarray(apart.vert_properties[:, :3], float), np.asarray(apart.tri_verts), 0.5, 0.4
+    )
+    assert found.areas == pytest.approx([16], rel=0.02)
+
+
 def test_islands_and_layers() -> None:
     post, arm = box((10, 10, 40), (0, 0, 0)), box((30, 10, 5), (0, 0, 35))
     tooth = box((4, 3, 20), (25, 3, 18))

@@ -15,6 +15,8 @@ from ..mesh.polygons import Floats, Ints
 MOST_CELLS = 600
 """Largest number of cells along the longest side of a layer. Beyond it the grid is
 coarser than the nozzle."""
+FINER = 4
+"""Factor by which the grid is finer when an island is looked at again."""
 LEAST_ISLAND = 4
 """Smallest number of cells of an island. Smaller ones are artefacts of the grid."""
 
@@ -32,34 +34,35 @@ class Islands:
 
 
 def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> Islands:
-    """The parts of each layer that touch no part of the layer below, not even diagonally."""
-    from scipy import ndimage
+    """The parts of each layer that touch no part of the layer below, not even diagonally.
 
-    touch = np.ones((3, 3), bool)
+    What seems to be one is looked at again on a finer grid, because a part that is narrower than
+    the nozzle may connect it with the rest of its layer.
+    """
     below: NDArray[np.bool_] | None = None
-    places, areas = [], []
+    places, areas, suspects = [], [], []
     count = empty = filled = 0
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     pitch = max(nozzle, float((high - low)[:2].max()) / MOST_CELLS)
     heights = np.arange(low[2] + 0.5137 * layer, high[2], layer)
-    for z, mask, origin in sections(vertices, triangles, heights, pitch):
+    for z, mask, _ in sections(vertices, triangles, heights, pitch):
         count += 1
         # A tip may end between two grid points. An empty layer with nothing above it is no gap.
         if mask.any():
             filled += 1
             empty = count - filled
-        labels, parts = ndimage.label(mask, touch)
-        if below is not None and parts:
-            held = np.bincount(labels[_grown(below)], minlength=parts + 1)
-            size = np.bincount(labels.ravel(), minlength=parts + 1)
-            loose = (held == 0) & (size >= LEAST_ISLAND)
-            loose[0] = False  # label 0 is the air
-            for part in np.flatnonzero(loose).tolist():
-                row, column = np.nonzero(labels == part)
-                middle = origin + pitch * (np.array([row.mean(), column.mean()]) + 0.5)
-                places.append([*middle, z])
-                areas.append(size[part] * pitch**2)
+        if below is not None and _loose(_grown(below), mask, LEAST_ISLAND):
+            suspects.append(z)
         below = mask
+    fine = pitch / FINER
+    for z in suspects:
+        pair = sections(vertices, triangles, np.array([z - layer, z]), fine)
+        (_, below, _), (_, mask, origin) = pair
+        for _ in range(FINER):
+            below = _grown(below)
+        for cells in _loose(below, mask, LEAST_ISLAND * FINER**2):
+            places.append([*(origin + fine * (cells.mean(axis=0) + 0.5)), z])
+            areas.append(len(cells) * fine**2)
     order = np.argsort(-np.array(areas), kind="stable")
     return Islands(
         np.array(places, dtype=np.float64).reshape(-1, 3)[order],
@@ -67,6 +70,19 @@ def islands(vertices: Floats, triangles: Ints, layer: float, nozzle: float) -> I
         count,
         empty,
     )
+
+
+def _loose(below: NDArray[np.bool_], mask: NDArray[np.bool_], least: int) -> list[Ints]:
+    """The cells ``(K, 2)`` of each part of ``mask`` that ``below`` does not touch, if it has at
+    ``least`` so many."""
+    from scipy import ndimage
+
+    labels, parts = ndimage.label(mask, np.ones((3, 3), bool))
+    held = np.bincount(labels[below], minlength=parts + 1)
+    size = np.bincount(labels.ravel(), minlength=parts + 1)
+    loose = (held == 0) & (size >= least)
+    loose[0] = False  # label 0 is the air
+    return [np.argwhere(labels == part) for part in np.flatnonzero(loose).tolist()]
 
 
 def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
